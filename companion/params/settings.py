@@ -126,6 +126,9 @@ class Settings:
     trigger_policy: int = _tunable(
         "TRG_POLICY", "", 0, 2, 0, "When to fire", choices=("peaks, timer when calm", "timer", "off")
     )
+    trigger_aim: int = _tunable(
+        "TRG_AIM", "", 0, 1, 0, "What a shot is aimed at", choices=("least blur", "peak of the dominating mode")
+    )
     trigger_rate_hz: float = _tunable(
         "TRG_RATE",
         "Hz",

@@ -31,7 +31,7 @@ from companion.core.tracking import (
 )
 from companion.core.tracking.adaptation import frequency_drift, slow_load, spectral_fit, whittle
 from companion.core.trigger import blur, planner
-from companion.core.trigger.instants import StillInstant
+from companion.core.trigger.instants import PlannedInstant
 from companion.params.airframe import Sensor
 from companion.records import Floats, Ints
 from sitl_tests.reference.kernels import bias_information as plain_bias
@@ -70,11 +70,11 @@ def _streaks(*arguments: Any) -> blur.Streaks:
     return blur.Streaks(*plain_trigger.streak_px(*arguments))
 
 
-def _still_instants(seen: blur.BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
+def _still_instants(seen: blur.BlurForecast, from_host_ns: int = 0) -> list[PlannedInstant]:
     shape = (seen.motion, seen.motion_per_rate, seen.acceleration_radps2, seen.rate_covariance, seen.q_covariance)
     found = plain_trigger.minima(seen.t_host_ns, from_host_ns, *shape, seen.spring, seen.rms_px)
     first_ns = int(seen.t_host_ns[0])
-    return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
+    return [PlannedInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
 
 
 def _to_host(self: clock_map.ClockMap, t_ns: Ints) -> tuple[Ints, int, int, int]:

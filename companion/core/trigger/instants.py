@@ -1,30 +1,54 @@
-"""The instants at which both images stand stillest, and how well each is known.
+"""The instants to expose at, and how well each is known: where both images stand stillest, or the deflection peaks.
 
 J(t) = sum over both cameras of |motion|^2 has a minimum where the wing stands still (in the paper's case, one symmetric
 mode, at the deflection peaks). Errors dx of the slope rates and dx' of their derivatives move it by
 -(dJ'/dx . dx + dJ'/dx' . dx') / J''. With one mode the second part vanishes and the time's sigma is that of the slope
 rate over the slope acceleration; where the minimum is a compromise between two modes, it does not.
+
+A deflection peak is an extreme of the first coordinate of the family that moves most; its time's sigma is that of the
+coordinate's rate over its acceleration.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurForecast
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Floats, Ints
 
+_ACTIVITY_SHARE = 0.01  # chosen, of one forecast: 4 s at 25 forecasts a second
+
 
 @dataclass(frozen=True, slots=True)
-class StillInstant:
-    """One minimum of the predicted blur; ``blur_px`` is the worse camera's expected rms."""
+class PlannedInstant:
+    """Minimum of the predicted blur, or peak; ``blur_px`` is the worse camera's expected rms."""
 
     t_host_ns: int
     sigma_ns: int
     blur_px: float
+
+
+@dataclass(slots=True)
+class ModeActivity:
+    """Mean square rate of either family's first coordinate over the last seconds of forecasts."""
+
+    _squares_mps2: Floats = field(default_factory=lambda: np.zeros(2))
+
+    def add(self, forecast: Forecast) -> None:
+        """Take the rate that a forecast begins with."""
+        step_s = 1e-9 * float(forecast.t_host_ns[1] - forecast.t_host_ns[0])
+        rates = (forecast.q_m[1] - forecast.q_m[0]) / step_s
+        self._squares_mps2 = self._squares_mps2 + _ACTIVITY_SHARE * (rates**2 - self._squares_mps2)
+
+    @property
+    def dominating(self) -> int:
+        """The family that moves faster: 0 symmetric, 1 antisymmetric."""
+        return int(np.argmax(self._squares_mps2))
 
 
 class _Shape(NamedTuple):
@@ -43,7 +67,7 @@ class _Shape(NamedTuple):
 _packed, _minima = packed(_Shape), kernel("trigger_minima", RECORD, INTEGER, ARRAY)
 
 
-def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
+def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[PlannedInstant]:
     """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
     first_ns = int(blur.t_host_ns[0])
     shape = _Shape(
@@ -58,7 +82,40 @@ def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInsta
     )
     minima = np.empty((len(blur.t_host_ns), 3))
     count = _minima(_packed(shape), from_host_ns, minima)
-    return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in minima[:count].tolist()]
+    return [PlannedInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in minima[:count].tolist()]
+
+
+def deflection_peaks(
+    forecast: Forecast, blur: BlurForecast, family: int, factors_radpm: tuple[float, ...], from_host_ns: int = 0
+) -> list[PlannedInstant]:
+    """Find the peaks of a family's first coordinate, in order of time, those before ``from_host_ns`` left out.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        Three instants or more, equally spaced.
+    blur : BlurForecast
+        Of the same instants.
+    family : int
+        0 symmetric, 1 antisymmetric.
+    factors_radpm : (symmetric, antisymmetric)
+        Slope factors of the first modes: both tips' rates of slope tell how well the coordinate's rate is known.
+    from_host_ns : int
+        Earliest instant.
+    """
+    first_ns, step_ns = int(forecast.t_host_ns[0]), int(forecast.t_host_ns[1] - forecast.t_host_ns[0])
+    change = np.diff(forecast.q_m[:, family])  # m a step, in the middle of each
+    before = np.flatnonzero((change[:-1] * change[1:] <= 0.0) & (change[:-1] != 0.0))
+    curvature = change[before + 1] - change[before]
+    t_ns = np.rint((before + 0.5 - change[before] / curvature) * step_ns).astype(np.int64) + first_ns
+    of_rate = np.array([(1.0, -1.0)[family], 1.0]) / (2.0 * factors_radpm[family])
+    rate_sigma_mps = np.sqrt(np.maximum(of_rate @ forecast.slope_rate_covariance[before + 1] @ of_rate, 0.0))
+    sigma_ns = rate_sigma_mps * 1e-9 * step_ns**2 / np.abs(curvature)
+    return [
+        PlannedInstant(t, round(sigma), blur_at_px(blur, t))
+        for t, sigma in zip(t_ns.tolist(), sigma_ns.tolist(), strict=True)
+        if t >= from_host_ns
+    ]
 
 
 def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""The plan to fire or to skip: which still instant, or which tick of the timer, the cameras expose at next."""
+"""The plan to fire or to skip: which instant, or which tick of the timer, the cameras expose at next."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurForecast, BlurModel, GroundMotion
-from companion.core.trigger.instants import StillInstant, blur_at_px, still_instants
+from companion.core.trigger.instants import ModeActivity, PlannedInstant, blur_at_px, deflection_peaks, still_instants
 from companion.core.trigger.latency import LatencyModel
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -21,6 +21,7 @@ HORIZON_NS = 250_000_000
 STEP_NS = 5_000_000  # a tenth of the period at 20 Hz; minima are refined by a parabola
 MARGIN_NS = 3_000_000
 """A plan needs so long to reach the trigger process; within it of the command, a plan is not changed any more."""
+_SLOW_PIPE_NS = 40_000_000  # chosen: a plan may be so long under way to the trigger process of a busy machine
 EXPIRY_NS = 10_000_000
 """A command that could not be given within this is not given: the wing would be moving again."""
 _EARLY_FRACTION = 0.3
@@ -36,6 +37,13 @@ class Policy(enum.IntEnum):
     PEAKS = 0
     TIMER = 1
     OFF = 2
+
+
+class Aim(enum.IntEnum):
+    """The choices of TRG_AIM."""
+
+    BLUR = 0
+    DEFLECTION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +71,9 @@ class Planner:
         self.settings = settings
         self._latency = latency
         self._blur = BlurModel(airframe)
+        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+        self._factors_radpm = tuple(mode.slope_factor_radpm.value for mode in modes)
+        self._activity = ModeActivity()
         self._next_id = 0
         self._open: TriggerPlan | None = None
         self._draft: _Draft | None = None
@@ -118,8 +129,7 @@ class Planner:
         self._fired_id = shot.plan_id
         self._due_ns = max(self._due_ns, shot.fired_host_ns + self._latency.lead_ns + self._interval_ns)
         if self._draft is not None:
-            early_ns = self._due_ns - self._draft.exposure_ns
-            self._overtaken = early_ns > round(_EARLY_FRACTION * self._interval_ns)
+            self._overtaken = self._due_ns - self._draft.exposure_ns > self._early_ns
 
     # ---------------------------------------------------------------------------------------- the open plan
 
@@ -174,6 +184,10 @@ class Planner:
     def _interval_ns(self) -> int:
         return round(1e9 / self.settings.trigger_rate_hz)
 
+    @property
+    def _early_ns(self) -> int:
+        return round(_EARLY_FRACTION * self._interval_ns)
+
     def _choose(
         self, forecast: Forecast | Reject, validity: Validity, now_ns: int, motion: GroundMotion
     ) -> _Draft | None:
@@ -187,7 +201,7 @@ class Planner:
             return self._tick(Firing.SKIP, None, now_ns, reason)
         if validity is not Validity.TRACKING:
             return self._tick(Firing.SKIP, blur, now_ns, _WHY[validity])
-        return self._peak(blur, now_ns)
+        return self._peak(self._instants(forecast, blur, now_ns), blur, now_ns)
 
     def _tick(self, firing: Firing, blur: BlurForecast | None, now_ns: int, reject: Reject | None = None) -> _Draft:
         """Expose when it is due, whatever the wing does; an open tick is not pushed along."""
@@ -197,29 +211,35 @@ class Planner:
             exposure_ns = held.exposure_ns
         return _Draft(firing, exposure_ns, 0, blur_at_px(blur, exposure_ns) if blur else 0.0, reject, at_peak=False)
 
-    def _peak(self, blur: BlurForecast, now_ns: int) -> _Draft | None:
-        """Take the next still instant, or the timer where none comes in its turn."""
-        instants = still_instants(blur, now_ns)
+    def _instants(self, forecast: Forecast, blur: BlurForecast, now_ns: int) -> list[PlannedInstant]:
+        """Instants that TRG_AIM aims at, in order of time."""
+        self._activity.add(forecast)
+        if self.settings.trigger_aim == Aim.BLUR:
+            return still_instants(blur, now_ns)
+        return deflection_peaks(forecast, blur, self._activity.dominating, self._factors_radpm, now_ns)
+
+    def _peak(self, instants: list[PlannedInstant], blur: BlurForecast, now_ns: int) -> _Draft | None:
+        """Take the best instant of this turn, or the timer where none comes in it."""
         if self._slips_away(instants, now_ns):
             return None
-        early_ns = round(_EARLY_FRACTION * self._interval_ns)
         due_ns = self._due_from(now_ns)
-        give_up_ns = due_ns + self._interval_ns - early_ns
+        give_up_ns = due_ns + self._interval_ns - self._early_ns
         spacing_ns = _spacing(instants)
-        turn_ns = max(self._earliest(now_ns), self._due_ns - early_ns, self._after_last(spacing_ns))
+        turn_ns = max(self._earliest(now_ns), self._due_ns - self._early_ns, self._after_last(spacing_ns))
         coming = [instant for instant in instants if instant.t_host_ns >= turn_ns]
-        if coming and coming[0].t_host_ns <= give_up_ns:
-            return self._judge(self._held(coming) or coming[0], spacing_ns)
+        in_turn = [instant for instant in coming if instant.t_host_ns <= give_up_ns]
+        if in_turn:
+            return self._judge(self._best(in_turn, now_ns), spacing_ns)
         if int(blur.t_host_ns[-1]) < give_up_ns:
             return None
-        return self._stand_in(blur, due_ns, early_ns)
+        return self._stand_in(blur, due_ns)
 
-    def _slips_away(self, instants: list[StillInstant], now_ns: int) -> bool:
+    def _slips_away(self, instants: list[PlannedInstant], now_ns: int) -> bool:
         """Tell whether the open plan's peak has moved so near that only the plan as it stands can still fire there."""
         instant = self._held(instants)
         return instant is not None and instant.t_host_ns < self._earliest(now_ns)
 
-    def _held(self, instants: list[StillInstant]) -> StillInstant | None:
+    def _held(self, instants: list[PlannedInstant]) -> PlannedInstant | None:
         """Find the peak of the open plan among new ones."""
         if self._draft is None or not self._draft.at_peak:
             return None
@@ -229,18 +249,34 @@ class Planner:
             return None
         return nearest
 
-    def _judge(self, instant: StillInstant, spacing_ns: int) -> _Draft:
-        reject = None
+    def _best(self, instants: list[PlannedInstant], now_ns: int) -> PlannedInstant:
+        """Instant of least blur among those that may be fired at; of deflection peaks the first.
+
+        Neither from nor to an instant whose command comes before another plan surely arrives is an open plan moved.
+        """
+        held, near_ns = self._held(instants), self._earliest(now_ns) + _SLOW_PIPE_NS
+        if held is not None and held.t_host_ns < near_ns:
+            return held
+        if held is not None:
+            instants = [instant for instant in instants if instant.t_host_ns >= near_ns]
+        allowed = [instant for instant in instants if self._refusal(instant) is None] or instants
+        if self.settings.trigger_aim == Aim.DEFLECTION:
+            return allowed[0]
+        return min(allowed, key=lambda instant: instant.blur_px)
+
+    def _refusal(self, instant: PlannedInstant) -> Reject | None:
         if instant.blur_px > self.settings.trigger_blur_px:
-            reject = Reject.BLUR_TOO_LARGE
-        elif instant.sigma_ns > self.settings.trigger_sigma_s * 1e9:
-            reject = Reject.PEAK_UNCERTAIN
+            return Reject.BLUR_TOO_LARGE
+        return Reject.PEAK_UNCERTAIN if instant.sigma_ns > self.settings.trigger_sigma_s * 1e9 else None
+
+    def _judge(self, instant: PlannedInstant, spacing_ns: int) -> _Draft:
+        reject = self._refusal(instant)
         firing = Firing.SKIP if reject else Firing.PEAK
         return _Draft(firing, instant.t_host_ns, instant.sigma_ns, instant.blur_px, reject, True, spacing_ns)
 
-    def _stand_in(self, blur: BlurForecast, due_ns: int, early_ns: int) -> _Draft:
+    def _stand_in(self, blur: BlurForecast, due_ns: int) -> _Draft:
         """Peaks are rarer than asked: fire the timer, where blur is least around its turn, if that is good enough."""
-        window = (blur.t_host_ns >= due_ns) & (blur.t_host_ns <= due_ns + early_ns)
+        window = (blur.t_host_ns >= due_ns) & (blur.t_host_ns <= due_ns + self._early_ns)
         worst = np.where(window, blur.rms_px.max(axis=1), np.inf)
         exposure_ns = int(blur.t_host_ns[np.argmin(worst)]) if window.any() else due_ns
         held = self._draft
@@ -274,7 +310,7 @@ _WHY = {
 }
 
 
-def _spacing(instants: list[StillInstant]) -> int:
+def _spacing(instants: list[PlannedInstant]) -> int:
     if len(instants) < 2:
         return _ANY_SPACING_NS
     gaps = [later.t_host_ns - earlier.t_host_ns for earlier, later in itertools.pairwise(instants)]
