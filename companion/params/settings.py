@@ -127,7 +127,7 @@ class Settings:
         "TRG_POLICY", "", 0, 2, 0, "When to fire", choices=("peaks, timer when calm", "timer", "off")
     )
     trigger_aim: int = _tunable(
-        "TRG_AIM", "", 0, 1, 0, "What a shot is aimed at", choices=("least blur", "peak of the dominating mode")
+        "TRG_AIM", "", 0, 1, 0, "What a shot is aimed at", choices=("least blur", "deflection peak")
     )
     trigger_rate_hz: float = _tunable(
         "TRG_RATE",
