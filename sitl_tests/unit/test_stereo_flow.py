@@ -218,6 +218,16 @@ def test_velocity_over_ground_is_turned_into_body_axes() -> None:
     assert air.motion(100_000_000).velocity_mps[0] == pytest.approx(20.0)
 
 
+@pytest.mark.parametrize(("stated_mps", "sigma_mps"), [(None, 0.3), (0.15, 0.15), (0.8, 0.8), (0.02, 0.1)])
+def test_the_receivers_accuracy_is_believed_down_to_a_tenth(stated_mps: float | None, sigma_mps: float) -> None:
+    """Of the two states around an instant the less accurate counts."""
+    track = VehicleTrack()
+    for k in range(4):
+        stated = 0.05 if k == 2 and stated_mps is not None else stated_mps
+        track.add(dataclasses.replace(_state(k, (-18.0, 0.0, 0.0)), velocity_sigma_mps=stated))
+    assert np.sqrt(track.motion(150_000_000).covariance[0, 0]) == pytest.approx(sigma_mps)
+
+
 @pytest.mark.parametrize("count", [0, 3])
 def test_a_recording_keeps_the_flow_to_the_bit(count: int) -> None:
     """What the matches of a pair say of the pair before is read as it was written; so is that they say nothing."""

@@ -110,4 +110,5 @@ def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:
             armed=True,
             on_ground=any(roll.from_s <= 1e-9 * t_ns < roll.until_s for roll in flight.plan.rolls_on_ground),
             velocity_ned_mps=(north, east, down),
+            velocity_sigma_mps=flight.world.velocity_mps,
         )

@@ -133,7 +133,7 @@ class Conditions:
     """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`.
 
     ``stated`` is what the calibration of the cameras states of itself in the airframe file; ``velocity_mps`` is the
-    sigma of the autopilot's velocity over ground, each axis.
+    sigma of the autopilot's velocity over ground, each axis, which its receiver states (GPS_RAW_INT).
     """
 
     name: str
