@@ -208,7 +208,7 @@ class EpipolarFilter:
         """
         total = rotation_rows(bend) @ answer.mean
         innovation = flow.innovation(total, answer.mean[LENS])
-        updated = with_flow(answer, innovation, flow.between.passed_s, flow.bend_turn_rad, bend)
+        updated = with_flow(answer, innovation, flow.between.passed_s, flow.turn_covariance, bend)
         if updated is None:
             used_ns = self._flow_used_ns
             return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS

@@ -72,15 +72,15 @@ class FlightBetween:
         Path, in the body axes of the earlier exposure.
     velocity_covariance : (3, 3) float64
         Of the velocity that the path was taken from, body axes, (m/s)^2.
-    bend_turn_rad : (3,) float64
-        One-sigma of how far the left camera turned beyond what the tracker says, body axes, along its bending axis.
+    turn_covariance : (3, 3) float64
+        Of how far the left camera turned beyond what rates and tracker say, body axes, rad^2.
     """
 
     passed_s: float
     turn_rad: Floats
     moved_m: Floats
     velocity_covariance: Floats
-    bend_turn_rad: Floats
+    turn_covariance: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +120,9 @@ class FlowView:
         return turned
 
     @property
-    def bend_turn_rad(self) -> Floats:
-        """One-sigma of the left camera's turn beyond what the tracker says, (3,), epipolar axes."""
-        turned: Floats = self.epipolar_from_body @ self.between.bend_turn_rad
+    def turn_covariance(self) -> Floats:
+        """Covariance (3, 3) of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2."""
+        turned: Floats = self.epipolar_from_body @ self.between.turn_covariance @ self.epipolar_from_body.T
         return turned
 
     def innovation(self, rotation_rad: Floats, lens: Floats) -> FlowInnovation:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.rotation import exp_rotation
+from companion.params.airframe import Sensor
 from companion.records import Bools, Floats, Ints, VehicleState
 
 _STATES = 64  # some seconds of attitudes at the usual rates
@@ -180,6 +181,18 @@ class TurnTrack:
         before = np.cumsum(steps, axis=0) - steps
         turn: Floats = steps.sum(axis=0) + 0.5 * np.cross(before, steps).sum(axis=0)
         return turn
+
+
+def turn_covariance(turn_rad: Floats, passed_s: float, gyro: Sensor) -> Floats:
+    """Covariance (3, 3) of a turn (3,) integrated from a gyro's rates, rad^2: its scale, its axes and its noise.
+
+    Scale errs along each axis by its part of the turn, a misalignment ``m`` by ``m x turn``; white noise of one-sided
+    density ``d`` integrates to ``d^2 t / 2``. The bias is left out: it is the same from turn to turn.
+    """
+    across = float(turn_rad @ turn_rad) * np.eye(3) - np.outer(turn_rad, turn_rad)
+    noise = 0.5 * gyro.gyro_noise_radps_rthz**2 * passed_s
+    covariance: Floats = gyro.gyro_scale_sigma**2 * np.diag(turn_rad**2) + gyro.misalignment_sigma_rad**2 * across
+    return covariance + noise * np.eye(3)
 
 
 def _motion(airspeed_mps: float, climb_mps: float, roll_rad: float, pitch_rad: float) -> VehicleMotion:
