@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
+from companion.core.stereo.epipolar import EpipolarFilter
 from companion.core.stereo.epipolar_posterior import Posterior, with_flow
-from companion.core.stereo.epipolar_states import ALL_STATES, NO_BEND, TURN_RATE, VELOCITY, YAW
-from companion.core.stereo.flow import FlightBetween, FlowView
-from companion.core.stereo.geometry import Pose
+from companion.core.stereo.epipolar_states import ALL_STATES, NO_BEND, TURN_RATE, VELOCITY, YAW, ExtrinsicsPrior
+from companion.core.stereo.flow import FlightBetween, FlowInnovation, FlowView
+from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
@@ -71,6 +72,38 @@ def test_perfect_flow_leaves_nothing() -> None:
     """Poses, turn, path and depth of a point agree with where it was seen before."""
     answer = _view().innovation(np.zeros(3), np.zeros(PAIR_TERMS))
     assert np.abs(answer.residual_rad).max() < 1e-9
+
+
+def test_what_is_known_of_velocity_and_turn_is_in_the_prediction() -> None:
+    """A path told with 3 degrees of wrong heading, a turn told with a wrong bias: both known, nothing is left."""
+    view, off_mps, off_rad = _view(), np.array([0.2, 1.1, -0.1]), np.array([4e-4, -2e-4, 3e-4])
+    to_body = view.epipolar_from_body.T
+    told = dataclasses.replace(
+        view.between,
+        moved_m=view.between.moved_m - _PASSED_S * (to_body @ off_mps),
+        turn_rad=log_rotation(exp_rotation(-to_body @ off_rad) @ exp_rotation(view.between.turn_rad)),
+    )
+    told_view, level = dataclasses.replace(view, between=told), (np.zeros(3), np.zeros(PAIR_TERMS))
+    assert np.abs(told_view.innovation(*level).residual_rad).max() > 1e-3
+    assert np.abs(told_view.innovation(*level, off_mps, off_rad).residual_rad).max() < 1e-9
+
+
+def test_the_filter_predicts_the_flow_with_the_velocity_that_it_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And with its turn in the time between the exposures."""
+    view, asked = _view(), []
+    filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
+    answer = _before()
+    answer.mean[VELOCITY], answer.mean[TURN_RATE] = (0.2, 1.1, -0.1), (1e-3, 2e-3, 3e-3)
+    predict = FlowView.innovation
+
+    def spied(self: FlowView, *states: Floats) -> FlowInnovation:
+        asked.extend(states)
+        return predict(self, *states)
+
+    monkeypatch.setattr(FlowView, "innovation", spied)
+    filtered._flown(answer, view, NO_BEND, 0)
+    assert np.array_equal(asked[2], [0.2, 1.1, -0.1])
+    assert np.allclose(asked[3], _PASSED_S * np.array([1e-3, 2e-3, 3e-3]))
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -17,7 +17,6 @@ from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
     CONSIDERED_STATES,
-    FLIGHT,
     INNOVATION,
     LENS,
     PARALLAX_STATES,
@@ -177,9 +176,7 @@ def with_flow(
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
     design[:, ALL_STATES:] = flow.turn
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
-    predicted_states = np.zeros(ALL_STATES + 3)  # ``flow`` is predicted with the velocity and rates as they were told
-    predicted_states[FLIGHT] = answer.mean[FLIGHT]
-    normalised = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ predicted_states
+    normalised = flow.residual_rad[finite] / flow.sigma_rad[finite]
     prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
     prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
