@@ -222,7 +222,7 @@ class SimAutopilot:
 
     def _motion(self, name: str, sent_ns: int, boot_ms: int) -> Any:
         truth = self._flight.truth.series(np.array([sent_ns], dtype=np.int64))
-        roll, pitch, yaw = truth.euler_rad[0].tolist()
+        roll, pitch, yaw = (truth.euler_rad[0] + self._navigation.euler_rad).tolist()
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
         north, east, down = truth.position_ned_m[0].tolist()
         vd = float(truth.velocity_ned_mps[0, 2])
