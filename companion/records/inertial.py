@@ -59,7 +59,8 @@ class ClockRestart:
 class VehicleState:
     """The autopilot's own view of the flight; what it does not tell is None.
 
-    ``velocity_ned_mps`` is over ground: north, east, down, by its navigation filter.
+    ``velocity_ned_mps`` is over ground: north, east, down, by its navigation filter; ``velocity_sigma_mps`` is what the
+    satellite receiver behind it states of itself.
     """
 
     t_boot_ns: int
@@ -73,6 +74,7 @@ class VehicleState:
     armed: bool
     on_ground: bool | None = None
     velocity_ned_mps: tuple[float, float, float] | None = None
+    velocity_sigma_mps: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.pipeline import start, step
 from companion.evaluation.shot_scores import PipelineOutputs, collect
 from companion.evaluation.true_geometry import TrueGeometry
-from companion.params.airframe import Airframe
+from companion.params.airframe import Airframe, Camera
 from companion.params.settings import Settings
 from companion.records import (
     Bools,
@@ -55,24 +55,35 @@ _EDGE_PX = 10
 
 
 class StruckPair(PosedPair):
-    """The true pair whose right camera is turned about every axis, by the knock's size in all, from an instant on."""
+    """The true pair, whose cameras heat turns, and whose right one is struck.
+
+    From :data:`STRUCK_S` on that one is turned about every axis, by the knock's size in all.
+    """
 
     def __init__(self, flight: Flight, knock_rad: float) -> None:
         super().__init__(flight.real.actual, flight.truth, scene_of(flight))
-        self._after: PosedPair | None = None
-        if knock_rad:
-            camera = flight.real.actual.right_camera
-            assert camera is not None
-            direction = flight.generator("knock").standard_normal(3)
-            turn = np.array(camera.rotation_rad) + knock_rad * direction / np.linalg.norm(direction)
-            x, y, z = turn.tolist()
-            turned = dataclasses.replace(camera, rotation_rad=(x, y, z))
-            after = dataclasses.replace(flight.real.actual, right_camera=turned)
-            self._after = PosedPair(after, flight.truth, self.scene)
+        self._actual, self._heat = flight.real.actual, flight.heat_turn()
+        direction = flight.generator("knock").standard_normal(3)
+        self._knock_rad: Floats = knock_rad * direction / np.linalg.norm(direction)
 
     def at(self, t_boot_ns: int) -> PosedPair:
         """The pair as it is at an instant."""
-        return self._after if self._after is not None and t_boot_ns >= STRUCK_S * _S else self
+        left_rad, right_rad = self._heat.rotation_rad(t_boot_ns / _S)
+        if t_boot_ns >= STRUCK_S * _S:
+            right_rad = right_rad + self._knock_rad
+        left, right = (
+            _turned(camera, turn_rad)
+            for camera, turn_rad in ((self._actual.left_camera, left_rad), (self._actual.right_camera, right_rad))
+        )
+        airframe = dataclasses.replace(self._actual, left_camera=left, right_camera=right)
+        return PosedPair(airframe, self.truth, self.scene)
+
+
+def _turned(camera: Camera | None, turn_rad: Floats) -> Camera:
+    """The camera with a small rotation (3,) more, camera axes."""
+    assert camera is not None, "a pair has both"
+    x, y, z = (np.array(camera.rotation_rad) + turn_rad).tolist()
+    return dataclasses.replace(camera, rotation_rad=(x, y, z))
 
 
 def fly(row: CampaignRow, number: int) -> dict[str, Any]:
@@ -80,7 +91,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     flight = build_flight(row.belief(), row.seed(number), plan=row.plan(), world=WORLDS[row.world])
     pair = StruckPair(flight, row.accident.knock_rad)
     shots = list(judged_shots(flight, pair))
-    told = [_stamped_late(matches, row.accident, flight) for matches in shots]
+    told = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
     inputs = list(_too_fast(_lying(in_order(flight, told), row.accident), row.accident))
     outputs = _driven(flight.airframe, inputs)
     outputs.matches = {matches.pair_id: matches for matches in shots}
@@ -152,7 +163,7 @@ def _driven(airframe: Airframe, inputs: list[Record]) -> PipelineOutputs:
 
 
 def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
-    """Matches at a steady rate, each camera exposed by its own latency."""
+    """Matches at a steady rate, each camera exposed by its own latency, with the true instants."""
     shutters = Shutters(flight.real.actual, flight.seed)
     rng = flight.generator("match ratio")
     ratio = log_uniform(flight.world.images.match_ratio, rng)
@@ -169,6 +180,15 @@ def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
             left_px, right_px, np.full(len(right_px), _MATCH_PX), int(host_ns.max()) + _VISION_NS,
             flow=flow,
         )  # fmt: skip
+
+
+def as_stamped(matches: MatchSet, flight: Flight) -> MatchSet:
+    """The matches with each camera's own stamps, as wrong as the airframe file states."""
+    rng = np.random.default_rng([flight.seed, matches.pair_id, *b"stamps"])
+    cameras = (flight.airframe.left_camera, flight.airframe.right_camera)
+    sigma_s = np.array([camera.stamp_sigma_s for camera in cameras if camera is not None])
+    error_ns = np.rint(sigma_s * rng.standard_normal(2) * _S).astype(np.int64)
+    return dataclasses.replace(matches, mid_exposure_ns=matches.mid_exposure_ns + error_ns)
 
 
 def _flowed(flight: Flight, earlier: PosedCamera | None, points: Floats, ratio: float, number: int) -> Flow | None:

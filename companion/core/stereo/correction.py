@@ -18,7 +18,7 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays, match_rays
-from companion.core.stereo.vehicle_motion import TurnTrack, VehicleMotion, VehicleTrack
+from companion.core.stereo.vehicle_motion import TurnTrack, VehicleMotion, VehicleTrack, turn_covariance
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -223,4 +223,5 @@ class Correction:
         bend_turn_rad = self.rig.left.turn_rad(slope_change_sigma_rad(earlier, later, Side.LEFT))
         if not np.isfinite(bend_turn_rad).all():
             return None
-        return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance, bend_turn_rad)
+        covariance = turn_covariance(turn_rad, passed_s, self.airframe.root) + np.outer(bend_turn_rad, bend_turn_rad)
+        return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance, covariance)

@@ -206,9 +206,9 @@ class EpipolarFilter:
 
         A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
         """
-        total = rotation_rows(bend) @ answer.mean
-        innovation = flow.innovation(total, answer.mean[LENS])
-        updated = with_flow(answer, innovation, flow.between.passed_s, flow.bend_turn_rad, bend)
+        mean, passed_s = answer.mean, flow.between.passed_s
+        innovation = flow.innovation(rotation_rows(bend) @ mean, mean[LENS], mean[VELOCITY], passed_s * mean[TURN_RATE])
+        updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend)
         if updated is None:
             used_ns = self._flow_used_ns
             return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS

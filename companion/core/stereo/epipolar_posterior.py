@@ -17,7 +17,6 @@ from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
     CONSIDERED_STATES,
-    FLIGHT,
     INNOVATION,
     LENS,
     PARALLAX_STATES,
@@ -42,9 +41,9 @@ _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite inform
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 _PRIOR_REMAINDER = 1e-3
 _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
-# sigma of the left camera's turn between two exposures, rad per axis, by integrated rates and twist (choice: 1 % of
-# gyro scale in 0.2 rad/s for 0.15 s); what the tracked bend adds comes with each pair
-_FLOW_TURN_RAD = 3e-4
+# sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend have: twist,
+# rates between their samples, stamps (choice: a tenth of a pixel); what these add of their own comes with each pair
+_FLOW_TURN_RAD = 1e-4
 _WRONG_SIGMAS = 4.0  # residual of a wrong match (choice)
 _FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)
 
@@ -145,13 +144,13 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Po
 
 
 def with_flow(
-    answer: Posterior, flow: FlowInnovation, passed_s: float, bend_turn_rad: Floats, bend: BendBelief
+    answer: Posterior, flow: FlowInnovation, passed_s: float, turn_covariance: Floats, bend: BendBelief
 ) -> Posterior | None:
     """The answer updated by the flow since an earlier pair; None where that contradicts it.
 
     The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
     constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis and
-    ``bend_turn_rad`` besides, which is marginalised.
+    ``turn_covariance`` besides, which is marginalised.
 
     Parameters
     ----------
@@ -161,8 +160,8 @@ def with_flow(
         About that mean.
     passed_s : float
         Time between the exposures.
-    bend_turn_rad : (3,) float64
-        One-sigma of the left camera's turn beyond what the tracker says, epipolar axes.
+    turn_covariance : (3, 3) float64
+        Of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
@@ -177,12 +176,10 @@ def with_flow(
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
     design[:, ALL_STATES:] = flow.turn
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
-    predicted_states = np.zeros(ALL_STATES + 3)  # ``flow`` is predicted with the velocity and rates as they were told
-    predicted_states[FLIGHT] = answer.mean[FLIGHT]
-    normalised = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ predicted_states
+    normalised = flow.residual_rad[finite] / flow.sigma_rad[finite]
     prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
-    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3) + np.outer(bend_turn_rad, bend_turn_rad)
+    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
     root = _square_root(prior)
     whitened_design, identity = design @ root, np.eye(len(root))
     change, covariance = np.zeros(len(prior)), prior

@@ -28,6 +28,7 @@ LONGEST_NS = 600_000_000
 LEAST_FLOW = 12
 """Features, of a rotation, a velocity and the toe (choice)."""
 _STEP = 1e-6  # of the difference quotients
+_NONE: Floats = np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,15 +73,15 @@ class FlightBetween:
         Path, in the body axes of the earlier exposure.
     velocity_covariance : (3, 3) float64
         Of the velocity that the path was taken from, body axes, (m/s)^2.
-    bend_turn_rad : (3,) float64
-        One-sigma of how far the left camera turned beyond what the tracker says, body axes, along its bending axis.
+    turn_covariance : (3, 3) float64
+        Of how far the left camera turned beyond what rates and tracker say, body axes, rad^2.
     """
 
     passed_s: float
     turn_rad: Floats
     moved_m: Floats
     velocity_covariance: Floats
-    bend_turn_rad: Floats
+    turn_covariance: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,19 +121,33 @@ class FlowView:
         return turned
 
     @property
-    def bend_turn_rad(self) -> Floats:
-        """One-sigma of the left camera's turn beyond what the tracker says, (3,), epipolar axes."""
-        turned: Floats = self.epipolar_from_body @ self.between.bend_turn_rad
+    def turn_covariance(self) -> Floats:
+        """Covariance (3, 3) of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2."""
+        turned: Floats = self.epipolar_from_body @ self.between.turn_covariance @ self.epipolar_from_body.T
         return turned
 
-    def innovation(self, rotation_rad: Floats, lens: Floats) -> FlowInnovation:
-        """Observed less predicted directions under a relative rotation (3,), epipolar axes, and lens terms (7,)."""
+    def innovation(
+        self, rotation_rad: Floats, lens: Floats, velocity_mps: Floats = _NONE, turn_rad: Floats = _NONE
+    ) -> FlowInnovation:
+        """Observed less predicted directions.
+
+        Parameters
+        ----------
+        rotation_rad : (3,) float64
+            Relative rotation, epipolar axes.
+        lens : (7,) float64
+            Lens terms.
+        velocity_mps, turn_rad : (3,) float64
+            Errors of velocity and turn that are known already, epipolar axes: flown less told.
+        """
         inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens)
         half = self._half_turn(rotation_rad)
         earlier_from_body = self.earlier_pose.camera_from_body @ half
-        turned = exp_rotation(self.between.turn_rad)
+        body_from_epipolar = self.epipolar_from_body.T
+        turned = exp_rotation(body_from_epipolar @ turn_rad) @ exp_rotation(self.between.turn_rad)
+        moved_m = self.between.moved_m + self.between.passed_s * (body_from_epipolar @ velocity_mps)
         in_body = self.later @ (self.later_pose.camera_from_body @ half) @ turned.T
-        shift_m = turned @ self.later_pose.position_body_m + self.between.moved_m - self.earlier_pose.position_body_m
+        shift_m = turned @ self.later_pose.position_body_m + moved_m - self.earlier_pose.position_body_m
         path_m, direction_at_infinity = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
 
         slopes, project = _projected(direction_at_infinity + inverse_pm[:, np.newaxis] * path_m)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.rotation import exp_rotation
+from companion.params.airframe import Sensor
 from companion.records import Bools, Floats, Ints, VehicleState
 
 _STATES = 64  # some seconds of attitudes at the usual rates
@@ -21,8 +22,12 @@ _ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exp
 # the ground's velocity against the air, and climb and sideslip that are not told: along and across the path, and
 # vertical, 1 sigma (choice: a light breeze; a pitch that is wrong by 1.5 degrees at 20 m/s)
 _UNTOLD_MPS = (3.0, 3.0, 0.5)
-# velocity over ground of a navigation filter, 1 sigma, each axis (ArduPilot EK3_VELNE_M_NSE: 0.3 for u-blox M8)
+# velocity over ground of a navigation filter whose receiver states no accuracy, 1 sigma, each axis (ArduPilot
+# EK3_VELNE_M_NSE: 0.3 for u-blox M8)
 _GROUND_MPS = 0.3
+# the least that is believed of a stated accuracy: EK3 with its defaults adds 0.07 m/s of its own, the steady state of
+# EK3_ACC_P_NSE 0.35 at 100 Hz and EK3_VELNE_M_NSE 0.3 at 5 Hz, and the best receivers have as much (u-blox M9, 0.05)
+_LEAST_GROUND_MPS = 0.1
 # heading of the autopilot, and pitch and roll of its axes against the cameras' body axes, 1 sigma (choice: a compass
 # that is calibrated, a mounting by hand)
 _HEADING_RAD, _LEVEL_RAD = 0.05, 0.02
@@ -94,7 +99,7 @@ class VehicleTrack:
         x, y, z = (exp_rotation(-angle * np.eye(3)[axis]) for angle, axis in turns)
         velocity: Floats = x @ y @ z @ velocity_mps
         speed_mps = float(np.linalg.norm(velocity))
-        sigma_mps = np.hypot(_GROUND_MPS, speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
+        sigma_mps = np.hypot(_stated_mps(around), speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
         return VehicleMotion(velocity, np.diag(sigma_mps**2), over_ground=True)
 
     def _around(self, t_host_ns: int) -> list[VehicleState]:
@@ -110,6 +115,14 @@ class VehicleTrack:
 
     def _since_s(self, t_host_ns: int) -> list[float]:
         return [1e-9 * (state.received_host_ns - t_host_ns) for state in self._states]
+
+
+def _stated_mps(around: list[VehicleState]) -> float:
+    """Sigma of each axis of the velocity over ground by what the receiver states around an instant; the larger one."""
+    return max(
+        _GROUND_MPS if state.velocity_sigma_mps is None else max(state.velocity_sigma_mps, _LEAST_GROUND_MPS)
+        for state in around
+    )
 
 
 def _roll(state: VehicleState) -> float:
@@ -168,6 +181,18 @@ class TurnTrack:
         before = np.cumsum(steps, axis=0) - steps
         turn: Floats = steps.sum(axis=0) + 0.5 * np.cross(before, steps).sum(axis=0)
         return turn
+
+
+def turn_covariance(turn_rad: Floats, passed_s: float, gyro: Sensor) -> Floats:
+    """Covariance (3, 3) of a turn (3,) integrated from a gyro's rates, rad^2: its scale, its axes and its noise.
+
+    Scale errs along each axis by its part of the turn, a misalignment ``m`` by ``m x turn``; white noise of one-sided
+    density ``d`` integrates to ``d^2 t / 2``. The bias is left out: it is the same from turn to turn.
+    """
+    across = float(turn_rad @ turn_rad) * np.eye(3) - np.outer(turn_rad, turn_rad)
+    noise = 0.5 * gyro.gyro_noise_radps_rthz**2 * passed_s
+    covariance: Floats = gyro.gyro_scale_sigma**2 * np.diag(turn_rad**2) + gyro.misalignment_sigma_rad**2 * across
+    return covariance + noise * np.eye(3)
 
 
 def _motion(airspeed_mps: float, climb_mps: float, roll_rad: float, pitch_rad: float) -> VehicleMotion:

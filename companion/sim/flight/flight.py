@@ -35,6 +35,7 @@ from companion.sim.flight.truth import MODAL, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 from companion.sim.flight.world_draw import (
     CRUISE_THROTTLE,
+    HeatTurn,
     NavigationError,
     disturbances,
     gust_kind,
@@ -102,8 +103,12 @@ class Flight:
         return throttle(self.truth, t_s)
 
     def navigation_error(self) -> NavigationError:
-        """Error of the velocity over ground that the autopilot tells."""
-        return NavigationError(self.world.velocity_mps, self.duration_s, self.generator("navigation"))
+        """Error of velocity over ground and attitude that the autopilot tells."""
+        return NavigationError(self.world, self.duration_s, self.generator("navigation"))
+
+    def heat_turn(self) -> HeatTurn:
+        """Slow turn of the cameras against their wing sections."""
+        return HeatTurn(self.world, self.duration_s, self.generator("heat"))
 
     def streams(self) -> dict[Station, SensorStream]:
         """Stream of every sensor at the rates that the airframe states."""

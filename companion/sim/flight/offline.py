@@ -95,8 +95,9 @@ def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:
     t_s: Floats = times * np.float64(1e-9)
     lever = flight.throttle(t_s)
     airspeed_mps = airspeed(flight.plan, t_s)[0]
-    told_mps = (truth.velocity_ned_mps + flight.navigation_error().ned_mps(t_s)).tolist()
-    rows = zip(times.tolist(), truth.euler_rad, truth.velocity_ned_mps, lever, airspeed_mps, told_mps, strict=True)
+    error = flight.navigation_error()
+    told_mps, told_rad = (truth.velocity_ned_mps + error.ned_mps(t_s)).tolist(), truth.euler_rad + error.euler_rad
+    rows = zip(times.tolist(), told_rad, truth.velocity_ned_mps, lever, airspeed_mps, told_mps, strict=True)
     for t_ns, (roll, pitch, yaw), velocity, throttle, speed_mps, (north, east, down) in rows:
         yield VehicleState(
             t_boot_ns=t_ns // 1_000_000 * 1_000_000,
@@ -110,4 +111,5 @@ def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:
             armed=True,
             on_ground=any(roll.from_s <= 1e-9 * t_ns < roll.until_s for roll in flight.plan.rolls_on_ground),
             velocity_ned_mps=(north, east, down),
+            velocity_sigma_mps=flight.world.velocity_mps,
         )

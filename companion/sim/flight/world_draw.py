@@ -125,15 +125,38 @@ def throttle(truth: FlightTruth, t_s: Floats) -> Floats:
 
 
 class NavigationError:
-    """Error of the autopilot's velocity over ground, north, east and down: it wanders in :data:`_NAVIGATION_S`."""
+    """Errors of what the autopilot's navigation filter tells.
 
-    def __init__(self, sigma_mps: float, duration_s: float, rng: np.random.Generator) -> None:
+    Velocity over ground, north, east and down, wanders in :data:`_NAVIGATION_S`. ``euler_rad`` (3,), what is added to
+    roll, pitch and yaw, is constant: how the autopilot is mounted, and its compass.
+    """
+
+    def __init__(self, world: Conditions, duration_s: float, rng: np.random.Generator) -> None:
         self._nodes_s = np.arange(0.0, duration_s + 2.0)
-        self._nodes_mps = sigma_mps * _wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
+        self._nodes_mps = world.velocity_mps * _wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
+        self.euler_rad: Floats = np.array([world.level_rad] * 2 + [world.heading_rad]) * rng.standard_normal(3)
 
     def ned_mps(self, t_s: Floats) -> Floats:
-        """Error (n, 3) at instants (n,)."""
-        return np.column_stack([np.interp(t_s, self._nodes_s, axis) for axis in self._nodes_mps.T])
+        """Error (n, 3) of the velocity at instants (n,)."""
+        return _between(self._nodes_s, self._nodes_mps, t_s)
+
+
+class HeatTurn:
+    """Turn of each camera by heat since its calibration at the start of the flight, as it warms or cools."""
+
+    def __init__(self, world: Conditions, duration_s: float, rng: np.random.Generator) -> None:
+        self._nodes_s = np.arange(0.0, duration_s + 2.0)
+        path = world.heat_rad * _wandering((len(self._nodes_s), 2 * 3), 1.0 / world.heat_s, rng)
+        self._nodes_rad = path - path[0]
+
+    def rotation_rad(self, t_s: float) -> Floats:
+        """Rotation vectors (2, 3) of left and right camera at an instant, camera axes."""
+        return _between(self._nodes_s, self._nodes_rad, np.array([t_s])).reshape(2, 3)
+
+
+def _between(nodes_s: Floats, nodes: Floats, t_s: Floats) -> Floats:
+    """Values (n, columns) at instants (n,), straight between nodes (k, columns)."""
+    return np.column_stack([np.interp(t_s, nodes_s, column) for column in nodes.T])
 
 
 def _wandering(shape: tuple[int, ...], step: float, rng: np.random.Generator) -> Floats:

@@ -1,6 +1,6 @@
 """Worlds in which the simulated aircraft flies: vibration, sensors, lenses, images, ground, gusts, and their sources.
 
-``ideal`` adds nothing to what the airframe file believes, and its lenses are as calibrated. ``fair`` is what a clean
+``ideal`` adds nothing to what file and filter believe, and its lenses are as calibrated. ``fair`` is what a clean
 electric aircraft with calibrated machine-vision lenses meets over fields and villages; ``rough`` is a petrol engine, an
 old calibration, mist and wind; ``tones`` is ideal but for two steady lines at the tips. A :data:`Span` is drawn
 log-uniformly between its ends, once a flight (:mod:`companion.sim.flight.world_draw`); a sigma is drawn from a normal
@@ -133,7 +133,9 @@ class Conditions:
     """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`.
 
     ``stated`` is what the calibration of the cameras states of itself in the airframe file; ``velocity_mps`` is the
-    sigma of the autopilot's velocity over ground, each axis.
+    sigma of the autopilot's velocity over ground, each axis, which its receiver states (GPS_RAW_INT); ``heading_rad``
+    and ``level_rad`` are those of its attitude, constants of a flight, and ``heat_rad`` is that of each camera's slow
+    turn, each axis, which takes ``heat_s``.
     """
 
     name: str
@@ -146,6 +148,14 @@ class Conditions:
     grounds: tuple[Ground, ...] = (Ground.PLAIN,)
     # error of the autopilot's velocity over ground, each axis: ArduPilot's EK3_VELNE_M_NSE for u-blox M8 is 0.3
     velocity_mps: float = 0.3
+    # the autopilot's heading, and its level against the cameras' body axes: a calibrated compass, a mounting by hand
+    # (chosen: as much as is believed of them, see core.stereo.vehicle_motion)
+    heading_rad: float = 0.05
+    level_rad: float = 0.02
+    # heat turns each camera against its wing section: an aluminium bracket (24e-6 per kelvin) as thick as it is long,
+    # one face 5 K warmer, within minutes (chosen)
+    heat_rad: float = 1.2e-4
+    heat_s: float = 600.0
 
 
 IDEAL = Conditions("ideal")

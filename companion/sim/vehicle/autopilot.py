@@ -30,7 +30,7 @@ from companion.sim.vehicle.wire import AUTOPILOT_ID, FrameSender, inertial_forma
 _NS = 1_000_000_000
 _TIMESYNC_NS = 10 * _NS
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
-_DEFAULT_MS = {"ATTITUDE": 100, "VFR_HUD": 250, "GLOBAL_POSITION_INT": 250, "RAW_IMU": 250}
+_DEFAULT_MS = {"ATTITUDE": 100, "VFR_HUD": 250, "GLOBAL_POSITION_INT": 250, "RAW_IMU": 250, "GPS_RAW_INT": 1000}
 _ECHO_MS = {"RANGEFINDER": 250, "DISTANCE_SENSOR": 250}  # while the rangefinder has data
 _MAVLINK_PROXIMITY = 2  # ArduPilot's PRX1_TYPE of the MAVLink driver
 _IMU_STATIONS = {"HIGHRES_IMU": Station.ROOT, "RAW_IMU": Station.ROOT, "SCALED_IMU": Station.ROOT}
@@ -222,7 +222,7 @@ class SimAutopilot:
 
     def _motion(self, name: str, sent_ns: int, boot_ms: int) -> Any:
         truth = self._flight.truth.series(np.array([sent_ns], dtype=np.int64))
-        roll, pitch, yaw = truth.euler_rad[0].tolist()
+        roll, pitch, yaw = (truth.euler_rad[0] + self._navigation.euler_rad).tolist()
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
         north, east, down = truth.position_ned_m[0].tolist()
         vd = float(truth.velocity_ned_mps[0, 2])
@@ -234,14 +234,20 @@ class SimAutopilot:
             speed = self._flight.plan.airspeed_mps
             return mavlink.MAVLink_vfr_hud_message(speed, speed, int(heading), 60, -down, -vd)
         degrees = 1e7 * 180.0 / (np.pi * 6378137.0)
+        place = (int(470000000 + north * degrees), int(80000000 + east * degrees), int(-down * 1000))
+        if name == "GPS_RAW_INT":
+            return self._receiver_message(1000 * boot_ms, place, told_mps[0])
         return mavlink.MAVLink_global_position_int_message(
-            boot_ms,
-            int(470000000 + north * degrees),
-            int(80000000 + east * degrees),
-            int(-down * 1000),
-            int(-down * 1000),
-            *np.rint(100.0 * told_mps[0]).astype(int).tolist(),
-            int(heading * 100),
+            boot_ms, *place, int(-down * 1000), *np.rint(100.0 * told_mps[0]).astype(int).tolist(), int(heading * 100)
+        )
+
+    def _receiver_message(self, t_us: int, place: tuple[int, int, int], ned_mps: Floats) -> Any:
+        """The satellite receiver's own words: fix, place, speed and course, and its accuracy of speed."""
+        course = np.degrees(np.arctan2(ned_mps[1], ned_mps[0])) % 360.0
+        speed_cmps = int(100.0 * np.hypot(ned_mps[0], ned_mps[1]))
+        stated_mmps = round(1000.0 * self._flight.world.velocity_mps)
+        return mavlink.MAVLink_gps_raw_int_message(
+            t_us, mavlink.GPS_FIX_TYPE_3D_FIX, *place, 80, 120, speed_cmps, int(100.0 * course), 14, vel_acc=stated_mmps
         )
 
     # ------------------------------------------------------------------------------------------ messages

@@ -31,6 +31,8 @@ PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
 _STATE_PERIOD_MS = 20
 _VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
+# an accuracy that is older is not that of the velocity: ArduPlane streams GPS_RAW_INT at 1 Hz, PX4 at 1 to 5 (choice)
+_ACCURACY_AGE_NS = 3_000_000_000
 # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share; bit 10 means "uninitialised" there, "GPS glitch" here
 _NAVIGATES = mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_POS_HORIZ_ABS
 _ASTRAY = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED | mavlink.EKF_GPS_GLITCHING
@@ -117,6 +119,18 @@ class GroundVelocity:
     def __init__(self) -> None:
         self._newest: Any = None
         self._good = True
+        self._accuracy: tuple[float, int] | None = None
+
+    def receiver(self, message: Any, received_host_ns: int) -> None:
+        """Take GPS_RAW_INT: its speed accuracy, mm/s, is an extension, and 0 where the receiver states none."""
+        fixed, stated = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX, message.vel_acc
+        self._accuracy = (0.001 * stated, received_host_ns) if fixed and stated else None
+
+    def sigma_mps(self, now_host_ns: int) -> float | None:
+        """Accuracy that the receiver stated last; None where it stated nothing, or long ago."""
+        if self._accuracy is None or now_host_ns - self._accuracy[1] > _ACCURACY_AGE_NS:
+            return None
+        return self._accuracy[0]
 
     def position(self, message: Any) -> None:
         """Take GLOBAL_POSITION_INT."""
@@ -189,6 +203,8 @@ class Translator:
             self._vfr_hud(heard)
         elif name == "GLOBAL_POSITION_INT":
             self._velocity.position(heard.message)
+        elif name == "GPS_RAW_INT":
+            self._velocity.receiver(heard.message, heard.received_host_ns)
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
             self._velocity.status(heard.message.flags)
         elif name == "EXTENDED_SYS_STATE":
@@ -262,6 +278,7 @@ class Translator:
             self.armed,
             self._on_ground.verdict,
             self._velocity.ned_mps(message.time_boot_ms),
+            self._velocity.sigma_mps(heard.received_host_ns),
         )
 
     def _feedback(self, heard: Heard) -> Iterator[Record]:
