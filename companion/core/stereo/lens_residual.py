@@ -58,27 +58,30 @@ def parallax_columns(left: Floats, right: Floats) -> Floats:
     return np.column_stack([0.5 * (across_left + across_right), radial])
 
 
-def lens_ratio(terms: Floats, covariance: Floats, prior: Floats) -> float:
+def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float = 1.0) -> float:
     """Variance of this pair's lens residual over its prior's, at least 1, as the terms that matches show tell it.
 
-    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. With ``w``
-    the share of a prior variance ``p`` that matches have taken away, a posterior mean ``m`` has the expectation
-    ``E m^2 = p (w^2 ratio + w (1 - w))``; :data:`_PRIOR_TERMS` count for a ratio of one.
+    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. Under the
+    prior variance ``believed p``, of which matches have taken away the share ``w``, a posterior mean ``m`` has the
+    expectation ``E m^2 = p (w^2 ratio + w (1 - w) believed)``. The answer is the mean of an inverse-gamma posterior
+    whose prior has a mean of one and weighs as much as :data:`_PRIOR_TERMS` terms that have shown.
 
     Parameters
     ----------
     terms, covariance : (7,), (7, 7) float64
         Posterior of the pair's terms.
     prior : (7,) float64
-        Prior variances.
+        Variances that the calibration states.
+    believed : float
+        Ratio under whose prior the terms were estimated.
 
     Returns
     -------
     float
     """
     m, p, after = terms[OBSERVED], prior[OBSERVED], np.diag(covariance)[OBSERVED]
-    w = np.clip(1.0 - after / p, 0.0, 1.0)
-    excess = m**2 / p - w * (1.0 - w)
+    w = np.clip(1.0 - after / (believed * p), 0.0, 1.0)
+    excess = m**2 / p - believed * w * (1.0 - w)
     return float(max((_PRIOR_TERMS + excess.sum()) / (_PRIOR_TERMS + (w**2).sum()), 1.0))
 
 
