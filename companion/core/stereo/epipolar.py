@@ -24,6 +24,8 @@ from companion.core.stereo.epipolar_posterior import (
 from companion.core.stereo.epipolar_states import (
     BEND,
     BEND_SCALE,
+    CONSIDERED_IN_FLOW_STATES,
+    CONSIDERED_STATES,
     FAST,
     FLIGHT,
     LENS,
@@ -198,7 +200,8 @@ class EpipolarFilter:
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
-        return with_considered_states(with_bound_innovation(answer, granted_rad2), mean, prior), verdict
+        bound = with_bound_innovation(answer, granted_rad2)
+        return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
 
     def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
         """The answer with what the flow tells, and whether that contradicts it, shortly after flow that agreed.
@@ -212,7 +215,7 @@ class EpipolarFilter:
             used_ns = self._flow_used_ns
             return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
         self._flow_used_ns = t_host_ns
-        return with_considered_states(updated, answer.mean, answer.covariance), False
+        return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
     def _doubt_lenses(self) -> None:
         """Widen what is believed where the observed lens terms are wrong by more than their prior.

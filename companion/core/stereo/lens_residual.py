@@ -11,7 +11,8 @@ tangential distortion ``P = (p_2, p_1)`` is ``s = P`` and ``t = 2 P`` (Brown 196
 point and tangential terms, are what a calibration tells apart: correlations of their errors are 0.2, not 0.9.
 
 Across the epipolar lines ``t_x`` shows as ``t_x x y``, which is just how a yaw shows, and ``s_x`` not at all: no number
-of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`).
+of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`). The
+flow tells the toe without ``t_x``, and so the two apart: there only the rest is considered.
 
 A pair sees the difference of its lenses. Of what both have wrong alike two terms count, for near things lie
 elsewhere in either image: the radial one leaves ``2 rho x y d`` across the lines at the disparity ``d``, a yaw of near
@@ -36,11 +37,13 @@ RADIAL_MEAN = 6
 PAIR_TERMS = 7
 """Terms of a pair: the six of the difference, and the mean of the radial ones."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
-"""Terms of a pair that are never estimated: what shows of them shows as yaw."""
+"""Terms of a pair that matches never move: what shows of them shows as yaw."""
+CONSIDERED_IN_FLOW = (PRISM_X, RADIAL_MEAN)
+"""Terms of a pair that the flow never moves either."""
 
-OBSERVED = [FOCAL, RADIAL, TILT_Y, PRISM_Y]
-"""Terms of a pair that matches show."""
-_PRIOR_TERMS = 2.0  # chosen: half of the terms that show
+OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y]
+"""Terms of a pair that matches show, or the flow."""
+_PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
 
 
 def residual_field(x: Floats, y: Floats) -> Floats:
