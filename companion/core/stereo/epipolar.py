@@ -24,6 +24,7 @@ from companion.core.stereo.epipolar_posterior import (
 from companion.core.stereo.epipolar_states import (
     BEND,
     BEND_SCALE,
+    CONSIDERED_IN_FLOW_STATES,
     CONSIDERED_STATES,
     FAST,
     FLIGHT,
@@ -42,7 +43,7 @@ from companion.core.stereo.epipolar_states import (
 )
 from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import OBSERVED, lens_ratio
+from companion.core.stereo.lens_residual import lens_ratio
 from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
@@ -114,7 +115,7 @@ class EpipolarFilter:
         self._velocity_covariance = np.zeros((3, 3))
         self._bend_variance = 0.0
         self.lens_ratio = 1.0
-        """Prior variance of the considered lens terms over the stated one."""
+        """Prior variance of the lens terms over the stated one."""
         self._updated_ns: int | None = None
         self._flow_used_ns: int | None = None
         self._test = MatchTest()
@@ -199,7 +200,8 @@ class EpipolarFilter:
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
-        return with_considered_states(with_bound_innovation(answer, granted_rad2), mean, prior), verdict
+        bound = with_bound_innovation(answer, granted_rad2)
+        return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
 
     def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
         """The answer with what the flow tells, and whether that contradicts it, shortly after flow that agreed.
@@ -213,25 +215,19 @@ class EpipolarFilter:
             used_ns = self._flow_used_ns
             return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
         self._flow_used_ns = t_host_ns
-        return with_considered_states(updated, answer.mean, answer.covariance), False
+        return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
     def _doubt_lenses(self) -> None:
-        """Begin again with wider priors of the considered lens terms where the observed ones are wrong by more.
+        """Widen what is believed where the observed lens terms are wrong by more than their prior.
 
-        What matches told of the toe was weighed against lenses that were taken for better. The observed lens terms
-        remain known.
+        All lens terms come from one calibration. The error of the mean is linear in errors of priors and noise, by
+        gains that lie in the past: had the lenses' priors been so much wider, its covariance were at most as many times
+        what it is. Pairs to come weigh less what was learnt under narrower ones.
         """
         lens = self._covariance[LENS, LENS]
-        ratio = lens_ratio(self._mean[LENS], lens, np.array(self._prior.lens) ** 2)
+        ratio = lens_ratio(self._mean[LENS], lens, np.array(self._prior.lens) ** 2, self.lens_ratio)
         if ratio > _CLEARLY_WORSE * self.lens_ratio:
-            mean, observed = np.zeros(PERSISTENT_STATES), [LENS.start + term for term in OBSERVED]
-            mean[observed] = self._mean[observed]
-            variances = self._first_variances()
-            variances[CONSIDERED_STATES] *= ratio
-            variances[observed] = np.diag(self._covariance)[observed]
-            self._mean, self._covariance, self.lens_ratio = mean, np.diag(variances), ratio
-            self._bend_variance, self._fast_covariance = 0.0, np.zeros((3, 3))
-            self._velocity_covariance = np.zeros((3, 3))
+            self._covariance, self.lens_ratio = ratio / self.lens_ratio * self._covariance, ratio
 
     def _first_variances(self) -> Floats:
         """Variances of the persistent states before any pair; those of bend, fast part and velocity come with each."""

@@ -16,7 +16,6 @@ from companion.core.stereo.epipolar_geometry import parallax
 from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
-    CONSIDERED_STATES,
     INNOVATION,
     LENS,
     PARALLAX_STATES,
@@ -134,11 +133,11 @@ def with_bound_innovation(answer: Posterior, granted_rad2: Floats) -> Posterior:
     )
 
 
-def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Posterior:
+def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, considered: list[int]) -> Posterior:
     """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain."""
     after, covariance = answer.mean.copy(), answer.covariance.copy()
-    after[CONSIDERED_STATES] = mean[CONSIDERED_STATES]
-    block = np.ix_(CONSIDERED_STATES, CONSIDERED_STATES)
+    after[considered] = mean[considered]
+    block = np.ix_(considered, considered)
     covariance[block] = prior[block]
     return dataclasses.replace(answer, mean=after, covariance=covariance)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.lens_residual import CONSIDERED, PAIR_TERMS
+from companion.core.stereo.lens_residual import CONSIDERED, CONSIDERED_IN_FLOW, PAIR_TERMS
 from companion.records import Floats
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z = range(5)
@@ -23,6 +23,7 @@ BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
 PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for
 LENS = slice(BASELINE_Z + 1, PARALLAX_STATES)
 CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
+CONSIDERED_IN_FLOW_STATES = [LENS.start + term for term in CONSIDERED_IN_FLOW]
 BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
 SLOW_STATES = BEND_SCALE + 1  # states of the slow part
 FAST = slice(SLOW_STATES, SLOW_STATES + 3)

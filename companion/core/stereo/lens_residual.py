@@ -11,7 +11,8 @@ tangential distortion ``P = (p_2, p_1)`` is ``s = P`` and ``t = 2 P`` (Brown 196
 point and tangential terms, are what a calibration tells apart: correlations of their errors are 0.2, not 0.9.
 
 Across the epipolar lines ``t_x`` shows as ``t_x x y``, which is just how a yaw shows, and ``s_x`` not at all: no number
-of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`).
+of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`). The
+flow tells the toe without ``t_x``, and so the two apart: there only the rest is considered.
 
 A pair sees the difference of its lenses. Of what both have wrong alike two terms count, for near things lie
 elsewhere in either image: the radial one leaves ``2 rho x y d`` across the lines at the disparity ``d``, a yaw of near
@@ -36,11 +37,13 @@ RADIAL_MEAN = 6
 PAIR_TERMS = 7
 """Terms of a pair: the six of the difference, and the mean of the radial ones."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
-"""Terms of a pair that are never estimated: what shows of them shows as yaw."""
+"""Terms of a pair that matches never move: what shows of them shows as yaw."""
+CONSIDERED_IN_FLOW = (PRISM_X, RADIAL_MEAN)
+"""Terms of a pair that the flow never moves either."""
 
-OBSERVED = [FOCAL, RADIAL, TILT_Y, PRISM_Y]
-"""Terms of a pair that matches show."""
-_PRIOR_TERMS = 2.0  # chosen: half of the terms that show
+OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y]
+"""Terms of a pair that matches show, or the flow."""
+_PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
 
 
 def residual_field(x: Floats, y: Floats) -> Floats:
@@ -58,27 +61,30 @@ def parallax_columns(left: Floats, right: Floats) -> Floats:
     return np.column_stack([0.5 * (across_left + across_right), radial])
 
 
-def lens_ratio(terms: Floats, covariance: Floats, prior: Floats) -> float:
+def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float = 1.0) -> float:
     """Variance of this pair's lens residual over its prior's, at least 1, as the terms that matches show tell it.
 
-    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. With ``w``
-    the share of a prior variance ``p`` that matches have taken away, a posterior mean ``m`` has the expectation
-    ``E m^2 = p (w^2 ratio + w (1 - w))``; :data:`_PRIOR_TERMS` count for a ratio of one.
+    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. Under the
+    prior variance ``believed p``, of which matches have taken away the share ``w``, a posterior mean ``m`` has the
+    expectation ``E m^2 = p (w^2 ratio + w (1 - w) believed)``. The answer is the mean of an inverse-gamma posterior
+    whose prior has a mean of one and weighs as much as :data:`_PRIOR_TERMS` terms that have shown.
 
     Parameters
     ----------
     terms, covariance : (7,), (7, 7) float64
         Posterior of the pair's terms.
     prior : (7,) float64
-        Prior variances.
+        Variances that the calibration states.
+    believed : float
+        Ratio under whose prior the terms were estimated.
 
     Returns
     -------
     float
     """
     m, p, after = terms[OBSERVED], prior[OBSERVED], np.diag(covariance)[OBSERVED]
-    w = np.clip(1.0 - after / p, 0.0, 1.0)
-    excess = m**2 / p - w * (1.0 - w)
+    w = np.clip(1.0 - after / (believed * p), 0.0, 1.0)
+    excess = m**2 / p - believed * w * (1.0 - w)
     return float(max((_PRIOR_TERMS + excess.sum()) / (_PRIOR_TERMS + (w**2).sum()), 1.0))
 
 
