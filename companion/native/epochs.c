@@ -14,7 +14,7 @@
 #define TILT_FOR_LATERAL_ERROR 0.05 /* chosen, rad: tip slope by which a lateral error enters a vertical row */
 
 enum { LATERAL = 1, ROLL = 3 };                              /* channels */
-enum { KZ, KY, KP, MX, MY, MZ, TAU, BP, BR, ERRORS };        /* of a sensor: error_jacobians.py */
+enum { KZ, KY, KP, MX, MY, MZ, TAU, BP, BR, ERRORS };        /* in error_jacobians.py's order */
 enum { SLOTS = 6 + 6 + 2 * (6 + 6 + 3 + 3) + 3 };   /* doubles per epoch in a motion */
 
 /* Density of the root's accelerometer, and usual change by smoothing: vertical, lateral force, roll rate. */
@@ -374,6 +374,9 @@ EXPORT int64_t epochs_build(const stream_record *root, const stream_record *left
     for (int s = 0; s < 3; s++)
         good = good && read_stream(records[s], &streams[s]) == 0;
     if (!good || n < 1 || !read_columns(record, n, &out))
+        return BAD_ARRAY;
+    if (extent(columns_in, 0) != 3 || extent(columns_in, 1) != ERRORS || /* an error that the enum does not have */
+        !all_within(columns, 3 * ERRORS, -1, out.parameters))
         return BAD_ARRAY;
     double *room = make_room(n, &m, station);
     if (!room)

@@ -81,7 +81,7 @@ def _flat(values: Any) -> list[Any]:
 
 def _checked(result: int, function: Any, _: Any) -> int:
     if result == _BAD_ARRAY:
-        raise TypeError(f"{function.__name__}: an array of other elements or dimensions, or with gaps between them")
+        raise TypeError(f"{function.__name__}: an array of other elements or lengths, or with gaps between them")
     if result == _NO_MEMORY:
         raise MemoryError(function.__name__)
     return result

@@ -68,9 +68,15 @@ def _run(tree: Path, *words: str) -> str:
     return ran.stdout
 
 
+def _write_effect(tree: Path) -> Path:
+    file = tree / "companion/core/wing/effects/damping/cubic_damping.py"
+    file.write_text(_EFFECT)
+    return file
+
+
 @pytest.mark.slow
 def test_an_effect_is_one_class_in_one_file(tree: Path) -> None:
-    (tree / "companion/core/wing/effects/damping/cubic_damping.py").write_text(_EFFECT)
+    _write_effect(tree)
     _run(tree, "-c", _FLY_WITH_AND_WITHOUT)
     assert _swing_mps2(tree / "slowed") < 0.9 * _swing_mps2(tree / "free"), "drag takes energy from the swing"
 
@@ -83,10 +89,14 @@ def _swing_mps2(folder: Path) -> float:
     return float(np.std(table[:, 0] - table[:, 1]))
 
 
+_DIALECT = "from companion.adapters.mavlink.link.dialect import mavlink\n"
+
+_BEFORE_IMPORT = "from companion.params.settings import Settings\n"
+
 _ENCODER = """
 def mode_vector(record: ModeState, time_boot_ms: int) -> list[Any | None]:
     return [
-        encode.mavlink.MAVLink_debug_vect_message(b"bend", 1000 * time_boot_ms, *(float(q) for q in record.q_m), 0.0)
+        mavlink.MAVLink_debug_vect_message(b"bend", 1000 * time_boot_ms, *(float(q) for q in record.q_m), 0.0)
     ]
 
 
@@ -107,10 +117,25 @@ print(*(f"{message.get_type()} {message.time_usec} {message.x:g} {message.y:g}" 
 """
 
 
+def _write_message_output(tree: Path) -> Path:
+    file = tree / "companion/adapters/mavlink/component/message_outputs.py"
+    imports, before, code = file.read_text().partition(_BEFORE_IMPORT)
+    head, table, rows = code.partition("OUTPUTS: tuple[MessageOutput, ...] = (\n")
+    assert before
+    assert table
+    file.write_text(imports + _DIALECT + before + head + _ENCODER + table + _ROW + rows)
+    return file
+
+
+@pytest.mark.slow
+def test_what_the_recipes_write_passes_mypy(tree: Path) -> None:
+    files = [str(_write_effect(tree)), str(_write_message_output(tree))]
+    cache = str(tree / "cache")
+    said = _run(tree, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", cache, *files)
+    assert "in 2 source files" in said
+
+
 @pytest.mark.slow
 def test_a_message_output_is_an_encoder_and_a_row_in_one_file(tree: Path) -> None:
-    file = tree / "companion/adapters/mavlink/component/message_outputs.py"
-    head, table, rows = file.read_text().partition("OUTPUTS: tuple[MessageOutput, ...] = (\n")
-    assert table
-    file.write_text(head + _ENCODER + table + _ROW + rows)
+    _write_message_output(tree)
     assert _run(tree, "-c", _PUBLISH_ONE).strip() == "DEBUG_VECT 3000000 0.01 -0.002"

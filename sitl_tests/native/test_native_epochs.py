@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -69,23 +71,40 @@ def test_a_handful_of_samples_covers_nothing_or_is_averaged(samples: int) -> Non
     assert not got.covered.any()
 
 
+def _build_arguments(rng: np.random.Generator, filtered: bool, columns: Ints) -> tuple[Any, ...]:
+    """Arguments of ``build_epochs``: three streams with faults, axes that are not sent, any levers."""
+    streams = (_samples(rng, 400.0, filtered), *(_samples(rng, 1000.0, False) for _ in range(2)))
+    return (
+        *streams, FIRST_NS + int(rng.integers(0, STEP_NS)), STEP_NS, int(rng.integers(1, 30)),
+        rng.random((3, 6)) > rng.choice([0.0, 0.3]), rng.standard_normal((2, 3)),
+        _RootNoise(2e-3, np.array([0.05, 0.05, 0.005])), columns, len(LAYOUT.bias_parameters),
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("filtered", [False, True], ids=["plain root", "filtered root"])
 def test_rows_and_their_jacobian_are_those_of_numpy(filtered: bool) -> None:
     present = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        streams = (_samples(rng, 400.0, filtered), *(_samples(rng, 1000.0, False) for _ in range(2)))
         columns = error_columns(LAYOUT).copy()
         columns[rng.random(columns.shape) < 0.2] = -1
-        arguments = (
-            *streams, FIRST_NS + int(rng.integers(0, STEP_NS)), STEP_NS, int(rng.integers(1, 30)),
-            rng.random((3, 6)) > rng.choice([0.0, 0.3]), rng.standard_normal((2, 3)),
-            _RootNoise(2e-3, np.array([0.05, 0.05, 0.005])), columns, len(LAYOUT.bias_parameters),
-        )  # fmt: skip
+        arguments = _build_arguments(rng, filtered, columns)
         got, expected = build_epochs(*arguments), plain_rigid_body.build_epochs(*arguments)
         _agree(got, expected, got._fields)
         present += int(got.present.sum())
     assert present > 500
+
+
+def test_an_error_that_the_compiled_jacobian_does_not_have_is_refused() -> None:
+    """One more error in ``SENSOR_ERRORS`` would shift the columns of all others; a place beyond the last is none."""
+    columns = error_columns(LAYOUT)
+    beyond = columns.copy()
+    beyond[0, 0] = len(LAYOUT.bias_parameters)
+    below = columns.copy()
+    below[0, 0] = -2
+    for wrong in (np.insert(columns, 7, -1, axis=1), columns[:, :-1].copy(), columns[:2].copy(), beyond, below):
+        with pytest.raises(TypeError, match="epochs_build"):
+            build_epochs(*_build_arguments(np.random.default_rng(0), False, wrong))
 
 
 def test_outliers_are_those_of_numpy() -> None:

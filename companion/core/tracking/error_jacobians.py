@@ -1,4 +1,7 @@
-"""Jacobian of the measurement rows with respect to the sensors' errors: the filter's sensitivity columns.
+"""Sensors' errors in the measurement rows: their names, their columns, and which contain a measurement.
+
+The Jacobian of the rows by these errors is ``tip_errors``, ``root_errors`` and ``roll_errors`` in ``native/epochs.c``,
+whose enum has the errors in the order of :data:`SENSOR_ERRORS`, :data:`ROOT_ERRORS`; it refuses another number of them.
 
 A sensor with scale errors ``k`` (per axis), misalignment ``m`` (small rotation vector) and stamp error ``tau`` reads
 ``(1 + k) (f - m x f)(t - tau)``, and likewise for the rate. The biases of the root's rates change the rest wing's
@@ -32,7 +35,8 @@ def error_columns(layout: StateLayout) -> Ints:
 def measured_regressors(layout: StateLayout) -> list[tuple[int, int, int, float]]:
     """Row, column, source row and sign of the sensitivities that contain the measurement of a source row.
 
-    A tip's roll rate contains the rigid one, measured by the root: see ``_earlier_less_present_roll``.
+    A tip's roll rate contains the rigid one, measured by the root: the regressor has the root's of some epochs earlier
+    in its place (``scaled_p`` of ``tip_errors`` in ``native/epochs.c``).
     """
     regressors: list[tuple[int, int, int, float]] = []
     for side, place in ((0, "left"), (1, "right")):

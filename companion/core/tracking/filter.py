@@ -1,10 +1,11 @@
 """Kalman filter with separated bias: one fused step per epoch for the state and its sensitivity to the bias parameters.
 
-With ``x1 = A x0 + b u + w`` and ``z = H1 x1 + H0 x0 + D c + e``, put ``H = H1 A + H0``, ``C = A P H^T + Q H1^T`` and
-``S = H P H^T + H1 Q H1^T + R``. Then ``K = C S^-1``, ``x1 = A x0 + b u + K (z - H x0)``, ``P1 = A P A^T + Q - K C^T``:
-exact for noise that is in the process and in the measurement alike. Column 0 of ``X = [x | V]`` is the state if all
-bias parameters were zero, the others are its derivative by each: the same linear filter, run on ``-D`` (Friedland, IEEE
-TAC 14, 1969). The innovations' information about the parameters is summed and solved a few times a second.
+With ``x1 = A x0 + b q_s + w`` and ``z = H1 x1 + H0 x0 - D c + eps``, put ``H = H1 A + H0``, ``C = A P H^T + Q H1^T``
+and ``S = H P H^T + H1 Q H1^T + R``. Then ``e = z - H x0 - H1 b q_s``, ``K = C S^-1``, ``x1 = A x0 + b q_s + K e`` and
+``P1 = A P A^T + Q - K C^T``: exact for noise that is in the process and in the measurement alike. Column 0 of
+``X = [x | V]`` is the state if all bias parameters were zero, the others are its derivative by each: the same linear
+filter, run on ``D`` in the place of ``z`` (Friedland, IEEE TAC 14, 1969). The innovations' information about the
+parameters is summed and solved a few times a second. The symbols are those of this folder's README.
 """
 
 from __future__ import annotations

@@ -213,7 +213,11 @@ class Effect:
         return t_s
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
-        """Sensor's output for true ``values`` (m, 6), m/s^2 and rad/s, before noise and quantisation."""
+        """Sensor's output (m, 6) for true ``values`` (m, 6), m/s^2 and rad/s, before noise and quantisation.
+
+        The values are consecutive samples of one stream at ``t_s`` (m,) on an even grid: a whole flight, or a block of
+        it, which may be a single sample.
+        """
         del station, t_s
         return values
 
@@ -285,9 +289,13 @@ class Effect:
 
 
 def sensed(effects: Iterable[Effect], station: Station, t_s: Floats, values: Floats) -> Floats:
-    """Pass true sensor values through every effect, in order."""
+    """Pass true sensor values (m, 6) through every effect, in order; raise ConfigError for one that gives others."""
     for effect in effects:
-        values = effect.sense(station, t_s, values)
+        output = effect.sense(station, t_s, values)
+        if np.shape(output) != values.shape:
+            shapes = f"{np.shape(output)} of samples {values.shape}"
+            raise ConfigError(f"effect '{effect.name}': its sense() makes {shapes}; both must be alike")
+        values = output
     return values
 
 

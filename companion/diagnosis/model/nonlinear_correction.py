@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, ModalMotion
+from companion.core.wing.effect import Effect, ModalMotion, sensed
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
@@ -304,7 +304,7 @@ class _Fine:
         """Error that an effect adds to a station's vertical specific force, m/s^2."""
         values = self._rigid.copy()
         values[:, 2] = force_z
-        return np.asarray(effect.sense(station, self._t_s, values)[:, 2] - force_z)
+        return np.asarray(sensed((effect,), station, self._t_s, values)[:, 2] - force_z)
 
     def inverted(self, effect: Effect, station: Station, shown: Floats) -> Floats:
         """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""

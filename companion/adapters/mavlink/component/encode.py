@@ -158,7 +158,10 @@ def named_value(name: str, value: float, time_boot_ms: int) -> Any | None:
 
 
 def range_graphs(record: CorrectedRange, time_boot_ms: int) -> list[Any | None]:
-    """NAMED_VALUE_FLOAT of a range's sigma (m), the correction's toe (mrad) and the range without it (m)."""
+    """NAMED_VALUE_FLOAT of a range's sigma (m), the correction's toe (mrad) and the range without it (m).
+
+    Those of an untrusted range go out too: they are graphs for an eye that looks for the reason, and not the range.
+    """
     values = (("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m))
     return [named_value(name, value, time_boot_ms) for name, value in values]
 

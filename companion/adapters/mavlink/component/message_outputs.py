@@ -25,7 +25,9 @@ class MessageOutput:
 
     ``record`` is a kind of :data:`companion.records.OutputRecord`, stamped ``t_host_ns`` or ``at_host_ns``. ``encode``
     turns a record and the boot time in ms into pymavlink messages in wire units, with None in the place of one that
-    cannot be represented. ``rate_hz`` gives the largest rate for the settings; at 0 nothing is sent.
+    cannot be represented; a record of which it makes none takes no other's turn. Ranges come trusted and untrusted: an
+    encoder that sends the range itself looks at ``trusted``. ``rate_hz`` gives the largest rate for the settings; at 0
+    nothing is sent.
     """
 
     record: type
@@ -52,5 +54,9 @@ class OutputPublisher:
             if rate_hz <= 0:
                 continue
             t_host_ns = int(getattr(record, "t_host_ns", getattr(record, "at_host_ns", 0)))
-            if self._limiter.take(t_host_ns, row, _SECOND_NS / rate_hz):
-                yield from output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000)
+            period_ns = _SECOND_NS / rate_hz
+            if self._limiter.ready(t_host_ns, row, period_ns):
+                messages = list(output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000))
+                if any(message is not None for message in messages):  # a record that says nothing delays no other
+                    self._limiter.take(t_host_ns, row, period_ns)
+                yield from messages

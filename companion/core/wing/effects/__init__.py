@@ -9,16 +9,28 @@ import pkgutil
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
-from companion.core.wing.effect import Effect
+from companion.core.wing.effect import Effect, Group
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect
 
 
 @functools.cache
 def catalogue() -> Mapping[str, type[Effect]]:
-    """Every effect by its stable name, in alphabetical order."""
-    kinds = [kind for module in pkgutil.walk_packages(__path__, f"{__name__}.") for kind in _effects_in(module.name)]
-    return MappingProxyType({kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)})
+    """Every effect by its stable name, in alphabetical order.
+
+    Raises
+    ------
+    ConfigError
+        For a class without a name, a group or declared parameters, or a name that another class has already.
+    """
+    kinds: dict[str, type[Effect]] = {}
+    for module in pkgutil.walk_packages(__path__, f"{__name__}."):
+        for kind in _effects_in(module.name):
+            _check(kind)
+            if kind.name in kinds:
+                raise ConfigError(f"{_place(kind)}: {_place(kinds[kind.name])} is named '{kind.name}' already")
+            kinds[kind.name] = kind
+    return MappingProxyType(dict(sorted(kinds.items())))
 
 
 def make_effects(named: Iterable[NamedEffect]) -> tuple[Effect, ...]:
@@ -55,6 +67,24 @@ def apply_to_airframe(airframe: Airframe) -> Airframe:
         else:
             airframe = changed
     return dataclasses.replace(airframe, effects=tuple(remaining))
+
+
+def _check(kind: type[Effect]) -> None:
+    """Raise :class:`ConfigError` where a class does not declare what every effect declares."""
+    if not isinstance(getattr(kind, "name", None), str):
+        raise ConfigError(f'{_place(kind)} has no name: it needs `name: ClassVar[str] = "..."`')
+    if not isinstance(getattr(kind, "group", None), Group):
+        raise ConfigError(f"{_place(kind)} has no group: it needs `group: ClassVar[Group] = Group....`")
+    undeclared = [entry.name for entry in dataclasses.fields(kind) if "unit" not in entry.metadata]
+    if undeclared:
+        raise ConfigError(f"{_place(kind)}: declare '{undeclared[0]}' with parameter(unit, sigma, doc)")
+    if not dataclasses.fields(kind):
+        raise ConfigError(f"{_place(kind)} has no parameter: it needs @dataclass and a field by parameter()")
+
+
+def _place(kind: type[Effect]) -> str:
+    """Class and file of an effect."""
+    return f"effect {kind.__name__} in {kind.__module__.removeprefix(f'{__name__}.').replace('.', '/')}.py"
 
 
 def _effects_in(module_name: str) -> list[type[Effect]]:

@@ -1,0 +1,42 @@
+"""Messages made of output records: each row's rate, and whose turn a record takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from companion.adapters.mavlink.component import message_outputs
+from companion.adapters.mavlink.component.message_outputs import MessageOutput, OutputPublisher
+from companion.params.settings import Settings
+from companion.records import CorrectedRange
+
+MS = 1_000_000  # ns
+SETTINGS = Settings()
+
+
+def a_range(at_ms: int, *, trusted: bool) -> CorrectedRange:
+    return CorrectedRange(1, 1, at_ms * MS, 25, 40.0, 0.1, 0.004, 1e-4, 35.0, 50, trusted, None)
+
+
+def sent_at_ms(monkeypatch: pytest.MonkeyPatch, nothing: list[Any], ranges: list[CorrectedRange]) -> list[int]:
+    """Boot times at which an encoder of trusted ranges sends at 10 Hz, ``nothing`` for an untrusted one."""
+
+    def trusted_only(record: CorrectedRange, time_boot_ms: int) -> list[Any]:
+        return [time_boot_ms] if record.trusted else nothing
+
+    monkeypatch.setattr(message_outputs, "OUTPUTS", (MessageOutput(CorrectedRange, trusted_only, lambda _: 10.0),))
+    publisher = OutputPublisher()
+    messages = [message for record in ranges for message in publisher.messages(record, SETTINGS, 0)]
+    return [message for message in messages if message is not None]
+
+
+@pytest.mark.parametrize("nothing", [[], [None]], ids=["no message", "one that is refused"])
+def test_a_record_that_says_nothing_takes_no_other_s_turn(monkeypatch: pytest.MonkeyPatch, nothing: list[Any]) -> None:
+    ranges = [a_range(1000, trusted=False), a_range(1050, trusted=True)]
+    assert sent_at_ms(monkeypatch, nothing, ranges) == [1050]
+
+
+def test_a_row_keeps_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    ranges = [a_range(1000 + 50 * k, trusted=k != 2) for k in range(6)]
+    assert sent_at_ms(monkeypatch, [], ranges) == [1000, 1150, 1250]
