@@ -26,7 +26,7 @@ from companion.sim.vehicle.world import World, WorldOptions
 from companion.sim.vision.cameras import Shutters
 
 MS = 1_000_000
-FLOWN_S = 16.5  # what is judged begins at 15 s
+FLOWN_S = 17.0  # what is judged begins at 15 s
 
 
 @pytest.fixture(scope="module")

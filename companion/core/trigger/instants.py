@@ -5,8 +5,8 @@ mode, at the deflection peaks). Errors dx of the slope rates and dx' of their de
 -(dJ'/dx . dx + dJ'/dx' . dx') / J''. With one mode the second part vanishes and the time's sigma is that of the slope
 rate over the slope acceleration; where the minimum is a compromise between two modes, it does not.
 
-A deflection peak is an extreme of the first coordinate of the family that moves most; its time's sigma is that of the
-coordinate's rate over its acceleration.
+A deflection peak is an extreme of the first coordinate of the family that moves fastest; its time's sigma is that of
+the coordinate's rate over its acceleration.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Floats, Ints
 
 _ACTIVITY_SHARE = 0.01  # chosen, of one forecast: 4 s at 25 forecasts a second
+_CLEARLY_FASTER = 1.5  # chosen, of mean squares
+_WORST_SIGMA_NS = 1e9  # as of minima of the blur (native/trigger.c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +37,16 @@ class PlannedInstant:
 
 @dataclass(slots=True)
 class ModeActivity:
-    """Mean square rate of either family's first coordinate over the last seconds of forecasts."""
+    """Mean square rate of either family's first coordinate over the last seconds of forecasts.
 
+    Attributes
+    ----------
+    dominating : int
+        The family that moves faster: 0 symmetric, 1 antisymmetric. It changes only once the other is clearly faster,
+        for the peaks of either lie at other instants.
+    """
+
+    dominating: int = 0
     _squares_mps2: Floats = field(default_factory=lambda: np.zeros(2))
 
     def add(self, forecast: Forecast) -> None:
@@ -44,11 +54,9 @@ class ModeActivity:
         step_s = 1e-9 * float(forecast.t_host_ns[1] - forecast.t_host_ns[0])
         rates = (forecast.q_m[1] - forecast.q_m[0]) / step_s
         self._squares_mps2 = self._squares_mps2 + _ACTIVITY_SHARE * (rates**2 - self._squares_mps2)
-
-    @property
-    def dominating(self) -> int:
-        """The family that moves faster: 0 symmetric, 1 antisymmetric."""
-        return int(np.argmax(self._squares_mps2))
+        other = 1 - self.dominating
+        if self._squares_mps2[other] > _CLEARLY_FASTER * self._squares_mps2[self.dominating]:
+            self.dominating = other
 
 
 class _Shape(NamedTuple):
@@ -95,7 +103,7 @@ def deflection_peaks(
     forecast : Forecast
         Three instants or more, equally spaced.
     blur : BlurForecast
-        Of the same instants.
+        Blur at the same instants.
     family : int
         0 symmetric, 1 antisymmetric.
     factors_radpm : (symmetric, antisymmetric)
@@ -110,7 +118,7 @@ def deflection_peaks(
     t_ns = np.rint((before + 0.5 - change[before] / curvature) * step_ns).astype(np.int64) + first_ns
     of_rate = np.array([(1.0, -1.0)[family], 1.0]) / (2.0 * factors_radpm[family])
     rate_sigma_mps = np.sqrt(np.maximum(of_rate @ forecast.slope_rate_covariance[before + 1] @ of_rate, 0.0))
-    sigma_ns = rate_sigma_mps * 1e-9 * step_ns**2 / np.abs(curvature)
+    sigma_ns = np.fmin(rate_sigma_mps * 1e-9 * step_ns**2 / np.abs(curvature), _WORST_SIGMA_NS)  # of no number, too
     return [
         PlannedInstant(t, round(sigma), blur_at_px(blur, t))
         for t, sigma in zip(t_ns.tolist(), sigma_ns.tolist(), strict=True)

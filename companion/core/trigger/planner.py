@@ -24,6 +24,8 @@ MARGIN_NS = 3_000_000
 _SLOW_PIPE_NS = 40_000_000  # chosen: a plan may be so long under way to the trigger process of a busy machine
 EXPIRY_NS = 10_000_000
 """A command that could not be given within this is not given: the wing would be moving again."""
+_HARDLY_MORE = 1.03  # chosen: a blur larger by this is not worth a later shot
+_STILL_PX = 0.1  # chosen: nor is one that no match sees
 _EARLY_FRACTION = 0.3
 """A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
 _ANY_SPACING_NS = 50_000_000  # of peaks, where fewer than two are forecast: 10 Hz
@@ -63,8 +65,8 @@ class Planner:
     """Keeps one open plan and refines it until its command is due; then looks for the next.
 
     The same peak keeps its ``plan_id`` while its time is refined, so the trigger process replaces the plan and cannot
-    fire twice. Numbers begin at the first call's host time in ms, above all of a process that died before. Call it at
-    50 to 100 Hz with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
+    fire twice. Numbers begin at the first call's host time in ms, above all of a process that died before. Call it
+    every 40 ms with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
     """
 
     def __init__(self, airframe: Airframe, settings: Settings, latency: LatencyModel) -> None:
@@ -226,10 +228,11 @@ class Planner:
         give_up_ns = due_ns + self._interval_ns - self._early_ns
         spacing_ns = _spacing(instants)
         turn_ns = max(self._earliest(now_ns), self._due_ns - self._early_ns, self._after_last(spacing_ns))
-        coming = [instant for instant in instants if instant.t_host_ns >= turn_ns]
-        in_turn = [instant for instant in coming if instant.t_host_ns <= give_up_ns]
-        if in_turn:
-            return self._judge(self._best(in_turn, now_ns), spacing_ns)
+        coming = [instant for instant in instants if turn_ns <= instant.t_host_ns <= give_up_ns]
+        if coming:
+            end_ns = self._due_ns + self._interval_ns - self._early_ns  # unlike the other, it stands still
+            in_turn = [instant for instant in coming if instant.t_host_ns <= end_ns]
+            return self._judge(self._best(in_turn or coming[:1], now_ns), spacing_ns)
         if int(blur.t_host_ns[-1]) < give_up_ns:
             return None
         return self._stand_in(blur, due_ns)
@@ -250,19 +253,20 @@ class Planner:
         return nearest
 
     def _best(self, instants: list[PlannedInstant], now_ns: int) -> PlannedInstant:
-        """Instant of least blur among those that may be fired at; of deflection peaks the first.
+        """Instant of least blur among those that may be fired at, the first where that is hardly more; the first peak.
 
-        Neither from nor to an instant whose command comes before another plan surely arrives is an open plan moved.
+        Neither from nor to an instant whose command comes before another plan surely arrives is a plan to fire moved.
         """
         held, near_ns = self._held(instants), self._earliest(now_ns) + _SLOW_PIPE_NS
-        if held is not None and held.t_host_ns < near_ns:
-            return held
-        if held is not None:
+        if held is not None and self._open is not None and self._open.firing is not Firing.SKIP:
+            if held.t_host_ns < near_ns:
+                return held
             instants = [instant for instant in instants if instant.t_host_ns >= near_ns]
-        allowed = [instant for instant in instants if self._refusal(instant) is None] or instants
-        if self.settings.trigger_aim == Aim.DEFLECTION:
-            return allowed[0]
-        return min(allowed, key=lambda instant: instant.blur_px)
+        allowed = [instant for instant in instants if self._refusal(instant) is None]
+        if not allowed or self.settings.trigger_aim == Aim.DEFLECTION:
+            return (allowed or instants)[0]
+        enough_px = max(_HARDLY_MORE * min(instant.blur_px for instant in allowed), _STILL_PX)
+        return next(instant for instant in allowed if instant.blur_px <= enough_px)
 
     def _refusal(self, instant: PlannedInstant) -> Reject | None:
         if instant.blur_px > self.settings.trigger_blur_px:
