@@ -1,6 +1,6 @@
 """The slow part of the toe through the whole pipeline: tilt alone, matches alone, both; each says how good it is.
 
-``python -m tools.bench.slow`` prints the table over more seeds.
+``python -m tools.bench slow`` prints the table over more seeds.
 """
 
 from __future__ import annotations

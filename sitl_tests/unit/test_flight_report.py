@@ -12,6 +12,7 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.evaluation.flight_log import FlightLog, Spectrum, gather
 from companion.evaluation.pages.flight_report import lines_sentence, verdict
+from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -96,9 +97,26 @@ def test_a_line_where_a_higher_mode_is_believed_is_named_so() -> None:
     density = np.full(len(f_hz), 1e-4)
     density[[round(peak_hz / 0.125) for peak_hz in (28.0, 84.0)]] = 2.0, 1.0
     text = lines_sentence({Station.LEFT: Spectrum(f_hz, density)}, AIRFRAME.wing)
-    assert "28.0 Hz (second symmetric mode)" in text
+    assert "28.0 Hz (perhaps the second symmetric mode)" in text
     assert text.endswith(", 84.0 Hz"), "a propeller's line is no mode"
     assert "No sharp line" in lines_sentence({}, AIRFRAME.wing)
+
+
+def test_the_nearest_of_two_higher_modes_is_named() -> None:
+    """28 Hz are 0.3 sigma from the one and 1.4 from the other, whichever comes first."""
+    second = AIRFRAME.wing.second_symmetric
+    assert second is not None
+    wide, narrow = Uncertain(27.0, 3.0), Uncertain(26.6, 1.0)
+    density = np.full(1200, 1e-4)
+    density[round(28.0 / 0.125)] = 2.0
+    spectra = {Station.LEFT: Spectrum(np.arange(0.0, 150.0, 0.125), density)}
+    for symmetric, antisymmetric, nearest in ((wide, narrow, "symmetric"), (narrow, wide, "antisymmetric")):
+        wing = dataclasses.replace(
+            AIRFRAME.wing,
+            second_symmetric=dataclasses.replace(second, frequency_hz=symmetric),
+            second_antisymmetric=dataclasses.replace(second, frequency_hz=antisymmetric),
+        )
+        assert f"28.0 Hz (perhaps the second {nearest} mode)" in lines_sentence(spectra, wing)
 
 
 def test_a_propellers_line_is_told_at_the_tips_and_not_at_the_root(log: FlightLog) -> None:

@@ -19,24 +19,29 @@ def a_range(at_ms: int, *, trusted: bool) -> CorrectedRange:
     return CorrectedRange(1, 1, at_ms * MS, 25, 40.0, 0.1, 0.004, 1e-4, 35.0, 50, trusted, None)
 
 
-def sent_at_ms(monkeypatch: pytest.MonkeyPatch, nothing: list[Any], ranges: list[CorrectedRange]) -> list[int]:
-    """Boot times at which an encoder of trusted ranges sends at 10 Hz, ``nothing`` for an untrusted one."""
+def published(monkeypatch: pytest.MonkeyPatch, nothing: list[Any], ranges: list[CorrectedRange]) -> list[int | None]:
+    """Boot times at which an encoder of trusted ranges sends at 10 Hz, ``nothing`` for an untrusted one; refusals."""
 
     def trusted_only(record: CorrectedRange, time_boot_ms: int) -> list[Any]:
         return [time_boot_ms] if record.trusted else nothing
 
     monkeypatch.setattr(message_outputs, "OUTPUTS", (MessageOutput(CorrectedRange, trusted_only, lambda _: 10.0),))
     publisher = OutputPublisher()
-    messages = [message for record in ranges for message in publisher.messages(record, SETTINGS, 0)]
-    return [message for message in messages if message is not None]
+    return [message for record in ranges for message in publisher.messages(record, SETTINGS, 0)]
 
 
 @pytest.mark.parametrize("nothing", [[], [None]], ids=["no message", "one that is refused"])
 def test_a_record_that_says_nothing_takes_no_other_s_turn(monkeypatch: pytest.MonkeyPatch, nothing: list[Any]) -> None:
     ranges = [a_range(1000, trusted=False), a_range(1050, trusted=True)]
-    assert sent_at_ms(monkeypatch, nothing, ranges) == [1050]
+    assert published(monkeypatch, nothing, ranges) == [*nothing, 1050]
 
 
 def test_a_row_keeps_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     ranges = [a_range(1000 + 50 * k, trusted=k != 2) for k in range(6)]
-    assert sent_at_ms(monkeypatch, [], ranges) == [1000, 1150, 1250]
+    assert published(monkeypatch, [], ranges) == [1000, 1150, 1250]
+
+
+def test_refusals_keep_the_rate_of_their_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A state that is not finite is counted as often as a finite one would be sent, not with every record."""
+    ranges = [a_range(1000 + 20 * k, trusted=False) for k in range(11)]
+    assert published(monkeypatch, [None], ranges) == [None] * 3

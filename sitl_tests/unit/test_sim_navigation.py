@@ -26,7 +26,7 @@ def flight() -> Flight:
 
 
 def test_the_autopilots_attitude_is_off_by_what_its_world_says() -> None:
-    """Of 400 draws the spread is known to 3.5 %: three sigma."""
+    """The spread of 400 draws is known to 3.5 %: three sigma."""
     drawn = np.array([NavigationError(IDEAL, 1.0, np.random.default_rng(k)).euler_rad for k in range(400)])
     assert drawn.std(axis=0) == pytest.approx([IDEAL.level_rad, IDEAL.level_rad, IDEAL.heading_rad], rel=0.11)
 

@@ -258,12 +258,23 @@ def test_velocity_over_ground_is_turned_into_body_axes() -> None:
 
 @pytest.mark.parametrize(("stated_mps", "sigma_mps"), [(None, 0.3), (0.15, 0.15), (0.8, 0.8), (0.02, 0.1)])
 def test_the_receivers_accuracy_is_believed_down_to_a_tenth(stated_mps: float | None, sigma_mps: float) -> None:
-    """Of the two states around an instant the less accurate counts."""
+    """The less accurate of the two states around an instant counts."""
     track = VehicleTrack()
     for k in range(4):
         stated = 0.05 if k == 2 and stated_mps is not None else stated_mps
         track.add(dataclasses.replace(_state(k, (-18.0, 0.0, 0.0)), velocity_sigma_mps=stated))
     assert np.sqrt(track.motion(150_000_000).covariance[0, 0]) == pytest.approx(sigma_mps)
+
+
+@pytest.mark.parametrize(("stated_mps", "sigma_mps"), [(1.5, 1.5), (0.15, 0.3)])
+def test_an_accuracy_that_is_lost_makes_the_velocity_no_better(stated_mps: float, sigma_mps: float) -> None:
+    """Neither at once nor later; the next statement counts again."""
+    track = VehicleTrack()
+    for k, stated in enumerate((stated_mps, None, None, None, 0.2, 0.2)):
+        track.add(dataclasses.replace(_state(k, (-18.0, 0.0, 0.0)), velocity_sigma_mps=stated))
+    for at_ns in (150_000_000, 250_000_000):
+        assert np.sqrt(track.motion(at_ns).covariance[0, 0]) == pytest.approx(sigma_mps)
+    assert np.sqrt(track.motion(450_000_000).covariance[0, 0]) == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("count", [0, 3])
@@ -289,6 +300,17 @@ def test_a_turns_covariance_is_that_of_scale_axes_and_noise() -> None:
     noise = np.sqrt(0.5 * _PASSED_S) * gyro.gyro_noise_radps_rthz * rng.standard_normal((20_000, 3))
     drawn = np.cov((scale + axes + noise).T)
     assert turn_covariance(turn, _PASSED_S, gyro) == pytest.approx(drawn, rel=0.05, abs=0.03 * float(np.trace(drawn)))
+
+
+def test_a_gyro_that_states_neither_scale_nor_axes_is_believed_to_a_percent() -> None:
+    """The default of both is 0, which no gyro has: a turn of 0.03 rad is then 0.3 mrad wrong about every axis."""
+    root = load_airframe("nadir-2m").root
+    unstated = dataclasses.replace(root, gyro_scale_sigma=0.0, misalignment_sigma_rad=0.0, gyro_noise_radps_rthz=0.0)
+    sigma_rad = np.sqrt(np.diag(turn_covariance(np.array([0.03, 0.0, 0.0]), _PASSED_S, unstated)))
+    assert sigma_rad == pytest.approx([3e-4, 3e-4, 3e-4])
+    stated = dataclasses.replace(unstated, gyro_scale_sigma=0.001, misalignment_sigma_rad=0.002)
+    sigma_rad = np.sqrt(np.diag(turn_covariance(np.array([0.03, 0.0, 0.0]), _PASSED_S, stated)))
+    assert sigma_rad == pytest.approx([3e-5, 6e-5, 6e-5])
 
 
 def test_the_flow_of_a_steady_flight_tells_more_than_that_of_a_roll() -> None:

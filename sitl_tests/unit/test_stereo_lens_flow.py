@@ -57,7 +57,7 @@ def _fly(airframe: Airframe, residuals: tuple[Floats, Floats], seed: int) -> Flo
     true, drift, knocks = _true_rig(airframe, residuals, yaw_rad), ExtrinsicsDriftFilter(rig, airframe), 0
     moved_m = np.array([SPEED_MPS * PAIR_S, 0.0, 0.0])
     believed_m = moved_m + PAIR_S * VELOCITY_MPS * rng.standard_normal(3)
-    between = FlightBetween(PAIR_S, np.zeros(3), believed_m, VELOCITY_MPS**2 * np.eye(3), np.zeros(3))
+    between = FlightBetween(PAIR_S, np.zeros(3), believed_m, VELOCITY_MPS**2 * np.eye(3), np.zeros((3, 3)))
     for k in range(PAIRS):
         ahead_m = rng.uniform(30.0, 90.0, 2 * FEATURES)
         points = np.column_stack([ahead_m, *(ahead_m * rng.uniform(-w, w, 2 * FEATURES) for w in (0.36, 0.26))])

@@ -29,7 +29,7 @@ def names() -> list[str]:
 
 
 def summary(name: str) -> str:
-    """First sentence of a bench's docstring."""
+    """First paragraph of a bench's docstring, on one line."""
     text = ast.get_docstring(ast.parse((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8"))) or ""
     return " ".join(text.partition("\n\n")[0].split())
 

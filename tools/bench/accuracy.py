@@ -1,4 +1,4 @@
-"""Tracker accuracy against a reference that knows the truth: ``python -m tools.bench.accuracy``.
+"""Tracker accuracy against a reference that knows the truth: ``python -m tools.bench accuracy``.
 
 Every row is pooled over its seeds: the mean over cells (equal truths) of the ratio of mean squares, tracker over
 reference, square root taken. The spread is the 10th to 90th percentile of the ratio of single seeds. The seeds are a

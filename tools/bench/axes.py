@@ -1,4 +1,4 @@
-"""All axes of the wing nodes against the vertical ones alone, on the same shots: ``python -m tools.bench.axes``.
+"""All axes of the wing nodes against the vertical ones alone, on the same shots: ``python -m tools.bench axes``.
 
 Flies the demo in lock-step, seed by seed, and replays each recording with every other axis hidden. Rows are paired:
 the same exposures, the same matches. ``gain`` is the slope of the fast toe error over the fast toe: an error of scale,

@@ -1,4 +1,4 @@
-"""Flights with rendered images, toe and range over their sigmas: ``python -m tools.bench.rendered``.
+"""Flights with rendered images, toe and range over their sigmas: ``python -m tools.bench rendered``.
 
 Images of both cameras are rendered through the true wing at a steady rate, matched and corrected by the whole pipeline,
 as in the demo, but without a live service; what is judged begins at the tenth second. Mounting, lenses and trim are

@@ -1,4 +1,4 @@
-"""The slow part of the toe: accelerometers' tilt alone, matched features alone, both: ``python -m tools.bench.slow``.
+"""The slow part of the toe: accelerometers' tilt alone, matched features alone, both: ``python -m tools.bench slow``.
 
 Truth: the demo's flight with trim bend, bend per g and camera mounting drawn from wide priors, and a thermal set that
 wanders during the flight. Matches are projections of ground points with noise and blunders, through the true cameras;

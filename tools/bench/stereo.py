@@ -1,4 +1,4 @@
-"""Cost of stereo while the extrinsics move, against OpenCV's rigid pipeline: ``python -m tools.bench.stereo``.
+"""Cost of stereo while the extrinsics move, against OpenCV's rigid pipeline: ``python -m tools.bench stereo``.
 
 Both pipelines see the same images, matcher and settings, one thread, in turns. The rigid one has its fixed-point maps
 made once; the moving one has a new pose, and so new float maps, for every pair. Beside them: what sparse matching and

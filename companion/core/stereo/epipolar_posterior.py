@@ -160,7 +160,7 @@ def with_flow(
     passed_s : float
         Time between the exposures.
     turn_covariance : (3, 3) float64
-        Of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2.
+        Covariance of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """

@@ -72,9 +72,9 @@ class FlightBetween:
     moved_m : (3,) float64
         Path, in the body axes of the earlier exposure.
     velocity_covariance : (3, 3) float64
-        Of the velocity that the path was taken from, body axes, (m/s)^2.
+        Covariance of the velocity that the path was taken from, body axes, (m/s)^2.
     turn_covariance : (3, 3) float64
-        Of how far the left camera turned beyond what rates and tracker say, body axes, rad^2.
+        Covariance of the left camera's turn beyond what rates and tracker say, body axes, rad^2.
     """
 
     passed_s: float

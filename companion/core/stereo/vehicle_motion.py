@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,6 +28,9 @@ _GROUND_MPS = 0.3
 # the least that is believed of a stated accuracy: EK3 with its defaults adds 0.07 m/s of its own, the steady state of
 # EK3_ACC_P_NSE 0.35 at 100 Hz and EK3_VELNE_M_NSE 0.3 at 5 Hz, and the best receivers have as much (u-blox M9, 0.05)
 _LEAST_GROUND_MPS = 0.1
+# sigmas of a gyro whose airframe file states none, by default 0: of its scale as a ratio, and of its axes (choice: the
+# 1 % of scale that every gyro was believed before files were asked; axes that are aligned by eye)
+_UNSTATED_SCALE, _UNSTATED_AXES_RAD = 0.01, 0.01
 # heading of the autopilot, and pitch and roll of its axes against the cameras' body axes, 1 sigma (choice: a compass
 # that is calibrated, a mounting by hand)
 _HEADING_RAD, _LEVEL_RAD = 0.05, 0.02
@@ -50,12 +53,20 @@ STILL = VehicleMotion(np.zeros(3), np.zeros((3, 3)))
 
 @dataclass(slots=True)
 class VehicleTrack:
-    """The autopilot's last states."""
+    """The autopilot's last states.
+
+    ``_lost_mps`` is the sigma of a velocity whose stated accuracy was lost or is old; None before the first statement.
+    """
 
     _states: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_STATES))
+    _lost_mps: float | None = None
 
     def add(self, state: VehicleState) -> None:
-        """Take the newest state."""
+        """Take the newest state; losing the stated accuracy never makes its velocity better than stated last."""
+        if state.velocity_sigma_mps is not None:
+            self._lost_mps = max(state.velocity_sigma_mps, _GROUND_MPS)
+        elif self._lost_mps is not None:
+            state = replace(state, velocity_sigma_mps=self._lost_mps)
         self._states.append(state)
 
     @property
@@ -187,11 +198,14 @@ def turn_covariance(turn_rad: Floats, passed_s: float, gyro: Sensor) -> Floats:
     """Covariance (3, 3) of a turn (3,) integrated from a gyro's rates, rad^2: its scale, its axes and its noise.
 
     Scale errs along each axis by its part of the turn, a misalignment ``m`` by ``m x turn``; white noise of one-sided
-    density ``d`` integrates to ``d^2 t / 2``. The bias is left out: it is the same from turn to turn.
+    density ``d`` integrates to ``d^2 t / 2``. The bias is left out: it is the same from turn to turn. A scale or
+    misalignment that is not stated counts as :data:`_UNSTATED_SCALE` and :data:`_UNSTATED_AXES_RAD`.
     """
+    scale = gyro.gyro_scale_sigma or _UNSTATED_SCALE
+    axes_rad = gyro.misalignment_sigma_rad or _UNSTATED_AXES_RAD
     across = float(turn_rad @ turn_rad) * np.eye(3) - np.outer(turn_rad, turn_rad)
     noise = 0.5 * gyro.gyro_noise_radps_rthz**2 * passed_s
-    covariance: Floats = gyro.gyro_scale_sigma**2 * np.diag(turn_rad**2) + gyro.misalignment_sigma_rad**2 * across
+    covariance: Floats = scale**2 * np.diag(turn_rad**2) + axes_rad**2 * across
     return covariance + noise * np.eye(3)
 
 

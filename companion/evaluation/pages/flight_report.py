@@ -139,12 +139,16 @@ def lines_sentence(spectra: Mapping[Station, Spectrum], wing: Wing) -> str:
 
 
 def _higher_mode(line_hz: float, wing: Wing) -> str:
-    """Name of the higher bending mode that the airframe file believes to be there, in brackets; empty without one."""
-    for name, mode in wing.modes.items():
-        frequency = mode.frequency_hz
-        if name not in FAMILIES and abs(line_hz - frequency.value) <= _MODE_SIGMAS * frequency.sigma:
-            return f" ({name.replace('_', ' ')} mode)"
-    return ""
+    """Name of the nearest higher bending mode that the airframe file believes to be there, in brackets; empty without.
+
+    The nearest is that of the fewest sigmas; its line may still be another's.
+    """
+    higher = {name: mode.frequency_hz for name, mode in wing.modes.items() if name not in FAMILIES}
+    sigmas = {name: abs(line_hz - belief.value) / belief.sigma for name, belief in higher.items() if belief.sigma > 0}
+    nearest = min(sigmas, key=sigmas.__getitem__, default=None)
+    if nearest is None or sigmas[nearest] > _MODE_SIGMAS:
+        return ""
+    return f" (perhaps the {nearest.replace('_', ' ')} mode)"
 
 
 def _triggers(log: FlightLog) -> Iterator[Block]:

@@ -57,6 +57,7 @@ class OutputPublisher:
             period_ns = _SECOND_NS / rate_hz
             if self._limiter.ready(t_host_ns, row, period_ns):
                 messages = list(output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000))
-                if any(message is not None for message in messages):  # a record that says nothing delays no other
-                    self._limiter.take(t_host_ns, row, period_ns)
-                yield from messages
+                says_something = any(message is not None for message in messages)
+                # a record that says nothing delays no other, but its refusals are counted at the row's rate too
+                if self._limiter.take(t_host_ns, row if says_something else (row, "refused"), period_ns):
+                    yield from messages
