@@ -152,6 +152,24 @@ def test_a_velocity_far_from_the_truth_is_not_believed() -> None:
     )
 
 
+@pytest.mark.parametrize("yaw_sigma_rad", [5e-4, 1e-3])
+def test_a_path_that_is_too_long_shows_in_the_velocity_and_is_doubted_or_refused(yaw_sigma_rad: float) -> None:
+    """Exposures 14 ms late are 2 m/s, and move a yaw by two sigma to five of its posterior ones; 8 ms by three."""
+    late, later = (
+        with_flow(
+            _before(yaw_sigma_rad),
+            _view(faster_mps=faster_mps, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS)),
+            _PASSED_S,
+            np.zeros((3, 3)),
+            NO_BEND,
+        )
+        for faster_mps in (1.2, 2.0)
+    )
+    assert later is None
+    assert late is not None
+    assert abs(late.mean[YAW]) < 1.3 * np.sqrt(late.covariance[YAW, YAW])
+
+
 def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
     """Features of which a tenth were found elsewhere tell the toe as the good ones do."""
     view = _view(1e-3, noise_rad=_NOISE_RAD)

@@ -44,7 +44,8 @@ _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
 # rates between their samples, stamps (choice: a tenth of a pixel); what these add of their own comes with each pair
 _FLOW_TURN_RAD = 1e-4
 _WRONG_SIGMAS = 4.0  # residual of a wrong match (choice)
-_FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)
+_FLOW_SIGMAS = 4.0  # a yaw or velocity that one pair's flow moves by more contradicts what is known of it (choice)
+_FLOW_DOUBT_SIGMAS = 2.5  # what it moves beyond this stays in the sigma: chance explains one pair in eighty (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,14 +192,15 @@ def with_flow(
         information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
         covariance = root @ np.linalg.solve(information, root.T)
         change = covariance @ (design.T @ (weight * normalised))
-    row = add_up[YAW]
-    variance_removed = row @ (prior - covariance)[:ALL_STATES, :ALL_STATES] @ row
-    if not np.isfinite(change).all() or (row @ change[:ALL_STATES]) ** 2 > _FLOW_SIGMAS**2 * variance_removed:
+    states, tested = slice(0, ALL_STATES), np.vstack([add_up[YAW], np.eye(ALL_STATES)[VELOCITY]])
+    change, covariance = change[states], covariance[states, states]
+    moved = (tested @ change) ** 2
+    removed = np.einsum("ij,jk,ik->i", tested, answer.covariance - covariance, tested)
+    if not np.isfinite(change).all() or (moved > _FLOW_SIGMAS**2 * removed).any():
         return None
-    states = slice(0, ALL_STATES)
-    return dataclasses.replace(
-        answer, mean=answer.mean + change[states], covariance=covariance[states, states], flow=int(finite.sum()) // 2
-    )
+    beyond = 1.0 - _FLOW_DOUBT_SIGMAS**2 * removed / np.maximum(moved, _VARIANCE_FLOOR_RAD2)
+    covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(change, change)
+    return dataclasses.replace(answer, mean=answer.mean + change, covariance=covariance, flow=int(finite.sum()) // 2)
 
 
 def _inverse(matrix: Floats) -> Floats:
