@@ -9,8 +9,17 @@ import pytest
 
 from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
 from companion.core.stereo.epipolar import EpipolarFilter
-from companion.core.stereo.epipolar_posterior import Posterior, with_flow
-from companion.core.stereo.epipolar_states import ALL_STATES, NO_BEND, TURN_RATE, VELOCITY, YAW, ExtrinsicsPrior
+from companion.core.stereo.epipolar_posterior import Posterior, with_considered_states, with_flow
+from companion.core.stereo.epipolar_states import (
+    ALL_STATES,
+    CONSIDERED_IN_FLOW_STATES,
+    LENS,
+    NO_BEND,
+    TURN_RATE,
+    VELOCITY,
+    YAW,
+    ExtrinsicsPrior,
+)
 from companion.core.stereo.flow import FlightBetween, FlowInnovation, FlowView
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS
@@ -168,6 +177,22 @@ def test_a_path_that_is_too_long_shows_in_the_velocity_and_is_doubted_or_refused
     assert later is None
     assert late is not None
     assert abs(late.mean[YAW]) < 1.3 * np.sqrt(late.covariance[YAW, YAW])
+
+
+def test_a_doubted_flow_leaves_a_covariance_that_is_positive() -> None:
+    """The considered lens terms are put back as they were; the doubt must not stay in their cross-covariances."""
+    before, (prism, _) = _before(5e-4), CONSIDERED_IN_FLOW_STATES
+    covariance = before.covariance.copy()
+    covariance[LENS, LENS] = 1e-7 * np.eye(PAIR_TERMS)
+    covariance[YAW, prism] = covariance[prism, YAW] = -0.99 * np.sqrt(covariance[YAW, YAW] * covariance[prism, prism])
+    before = dataclasses.replace(before, covariance=covariance)
+    innovation = _view(faster_mps=1.4, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+    answer = with_flow(before, innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+    assert answer is not None
+    after = with_considered_states(answer, before.mean, before.covariance, CONSIDERED_IN_FLOW_STATES).covariance
+    uncertain = np.flatnonzero(np.diag(after) > 0.0)
+    sigma = np.sqrt(np.diag(after)[uncertain])
+    assert np.linalg.eigvalsh(after[np.ix_(uncertain, uncertain)] / np.outer(sigma, sigma)).min() > 0.01
 
 
 def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:

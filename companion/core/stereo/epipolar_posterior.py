@@ -16,6 +16,7 @@ from companion.core.stereo.epipolar_geometry import parallax
 from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
+    CONSIDERED_IN_FLOW_STATES,
     INNOVATION,
     LENS,
     PARALLAX_STATES,
@@ -199,7 +200,9 @@ def with_flow(
     if not np.isfinite(change).all() or (moved > _FLOW_SIGMAS**2 * removed).any():
         return None
     beyond = 1.0 - _FLOW_DOUBT_SIGMAS**2 * removed / np.maximum(moved, _VARIANCE_FLOOR_RAD2)
-    covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(change, change)
+    doubted = change.copy()
+    doubted[CONSIDERED_IN_FLOW_STATES] = 0.0  # they are put back as they were, and their covariance with them
+    covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(doubted, doubted)
     return dataclasses.replace(answer, mean=answer.mean + change, covariance=covariance, flow=int(finite.sum()) // 2)
 
 
