@@ -94,22 +94,45 @@ def test_rows_are_what_was_sent(ends: tuple[socket.socket, list[socket.socket]],
     assert [tuple(row) for row in read] == expected(sent, system)
 
 
-def test_many_small_ones_are_read_in_parts_and_a_large_one_is_read_whole(
-    ends: tuple[socket.socket, list[socket.socket]],
-) -> None:
+def test_many_small_ones_behind_a_large_one_come_in_one_read(ends: tuple[socket.socket, list[socket.socket]]) -> None:
     reader, (sender, *_) = ends
     source = DatagramReader(reader)
     large = np.random.default_rng(1).bytes(60_000)
     sender.sendto(large, reader.getsockname())
     for number in range(70):
         sender.sendto(bytes([number]), reader.getsockname())
-    data, left = [], []
-    for _ in range(10):
-        data += [row.data for row in source.read(65536, (), None)]
-        left.append(not source.drained)
-    assert data == [large, *(bytes([number]) for number in range(70))]
-    assert left[:2] == [True, True]
-    assert not left[-1]
+    assert [row.data for row in source.read(65536, (), None)] == [large, *(bytes([number]) for number in range(70))]
+    assert source.drained
+
+
+@pytest.mark.parametrize("limit", [1, 1000, 20_000])
+def test_a_read_ends_about_its_limit_and_the_next_goes_on(
+    ends: tuple[socket.socket, list[socket.socket]], limit: int
+) -> None:
+    reader, (sender, *_) = ends
+    source = DatagramReader(reader)
+    sent = [np.random.default_rng(number).bytes(700) for number in range(60)]
+    sender.sendto(sent[0], reader.getsockname())
+    read = [source.read(limit, (), None)]
+    for data in sent[1:]:
+        sender.sendto(data, reader.getsockname())
+    while sum(map(len, read)) < len(sent):
+        read.append(source.read(limit, (), None))
+        assert 0 < sum(len(row.data) for row in read[-1]) < limit + 700
+    assert [row.data for rows in read for row in rows] == sent
+    assert len(read) >= len(sent) * 700 // (limit + 700)
+    assert source.read(limit, (), None) == []
+    assert source.drained
+
+
+def test_a_flood_of_empty_datagrams_ends(ends: tuple[socket.socket, list[socket.socket]]) -> None:
+    reader, (sender, *_) = ends
+    source = DatagramReader(reader)
+    for _ in range(200):
+        sender.sendto(b"", reader.getsockname())
+    read = source.read(LIMIT, (), None)
+    assert b"".join(row.data for row in read) == b""
+    assert source.drained
 
 
 def test_a_closed_socket_is_an_error() -> None:

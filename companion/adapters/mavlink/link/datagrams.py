@@ -1,4 +1,4 @@
-"""Datagrams that wait in a socket: many by one system call, with sender and form of each (``native/datagrams.c``)."""
+"""Datagrams that wait in a socket: all by one call, with sender and form of each (``native/datagrams.c``)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from companion.native.library import ARRAY, INTEGER, kernel
 OTHER, FRAMES, GUARDED_FRAMES = range(3)
 """Form of a datagram: anything; whole frames by their headers; the same, and one of them with a guarded id."""
 _SLOT_BYTES = 65536  # room for the largest datagram of UDP
-_MOST_AT_ONCE = 32  # chosen: more by one call save nothing
+_MOST_AT_ONCE = 32  # by one system call, chosen: more save nothing
+_MOST_ROWS = 256  # of a read, about; bound of memory
+_MOST_BYTES = 1 << 20  # of a read, about; bound of memory
 _MANY_ADDRESSES = 64  # bound of memory against invented senders
-_COLUMNS = 5  # sender, start, stop, form, bytes of the largest
+_COLUMNS = 4  # sender, start, stop, form
 _FAILED = -1000  # convention with the kernel: less the system's number of the error
 _NO_SYSTEM = -1  # convention: no system id is negative
 
 _SHORTEST_FRAME = 8  # bytes of a MAVLink 1 frame without payload
 
-_read = kernel("datagrams_read", INTEGER, ARRAY, INTEGER, ARRAY, INTEGER, ARRAY)
+_read = kernel("datagrams_read", INTEGER, INTEGER, ARRAY, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 _guarded = kernel("datagram_guarded", ARRAY, ARRAY, INTEGER, ARRAY)
 
 
@@ -43,10 +45,11 @@ class DatagramReader:
     def __init__(self, reader: socket.socket) -> None:
         self.drained = False
         self._socket = reader
-        self._buffer = np.empty(_MOST_AT_ONCE * _SLOT_BYTES, np.uint8)
+        self._slots = np.empty(_MOST_AT_ONCE * _SLOT_BYTES, np.uint8)
+        self._buffer = np.empty(_MOST_BYTES + len(self._slots), np.uint8)
         self._bytes = self._buffer.data
-        self._table = np.empty((_MOST_AT_ONCE, _COLUMNS), np.int64)
-        self._largest = _SLOT_BYTES  # of the last read
+        self._table = np.empty((_MOST_ROWS + _MOST_AT_ONCE, _COLUMNS), np.int64)
+        self._state = np.array([_SLOT_BYTES, 0])  # largest datagram read last, and whether none was left
         self._addresses: dict[int, tuple[str, int]] = {}
         self._guarded: Collection[int] = ()
         self._guards = np.zeros(256, np.bool_)
@@ -63,15 +66,14 @@ class DatagramReader:
             self._guarded = guarded
             self._guards[:] = False
             self._guards[list(guarded)] = True
-        asked = min(max(limit // max(self._largest, 1), 1), _MOST_AT_ONCE)
-        number = _NO_SYSTEM if system is None else system
-        outcome = _read(self._socket.fileno(), self._buffer, asked, self._guards, number, self._table)
-        if outcome <= _FAILED:
-            raise OSError(_FAILED - outcome, os.strerror(_FAILED - outcome))
-        self.drained = outcome >> 32 < asked
-        rows = self._table[: outcome & 0xFFFFFFFF].tolist()
-        if rows:
-            self._largest = max(row[-1] for row in rows)
+        number, limit = _NO_SYSTEM if system is None else system, min(limit, _MOST_BYTES)
+        count = _read(
+            self._socket.fileno(), limit, self._buffer, self._slots, self._guards, number, self._table, self._state
+        )
+        if count <= _FAILED:
+            raise OSError(_FAILED - count, os.strerror(_FAILED - count))
+        self.drained = bool(self._state[1])
+        rows = self._table[:count].tolist()
         return [Datagrams(self._address(row[0]), bytes(self._bytes[row[1] : row[2]]), row[3]) for row in rows]
 
     def guarded_frames(self, data: bytes, system: int | None) -> Iterator[tuple[tuple[int, int], bytes]]:
