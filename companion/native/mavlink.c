@@ -5,7 +5,7 @@
 
 #include "arrays.h"
 
-enum { MAGIC_1 = 0xFE, MAGIC_2 = 0xFD, SHORTEST = 8, LARGEST = 255, AXES = 6 };
+enum { MAGIC_1 = 0xFE, MAGIC_2 = 0xFD, SHORTEST = 8, LARGEST = 255, AXES = 6, AT_ONCE = 8 };
 enum { HIGHRES, RAW, SCALED };
 enum { FRAMES = 1, CRC_ERRORS, UNKNOWN, SKIPPED_BYTES, COUNTED }; /* places in the counts; the position is the first */
 enum { SENDER, LAYOUT, ORDER, NUMBERS = ORDER + AXES };           /* columns of the sources */
@@ -15,7 +15,7 @@ typedef struct {
 } span;
 
 typedef struct {
-    const array *crc;     /* (4, 256) */
+    const array *crc;     /* (AT_ONCE, 256) */
     const array *extra;   /* (ids,) */
     const array *longest; /* (256,) */
     int64_t limit_us;
@@ -31,12 +31,15 @@ typedef struct {
 static int64_t checksum(const uint8_t *buffer, int64_t first, int64_t stop, const int64_t *crc_table)
 {
     int64_t crc = 0xFFFF, k = first;
-    const int64_t *one = crc_table, *two = one + 256, *three = two + 256, *four = three + 256;
-    for (; k + 4 <= stop; k += 4)
-        crc = four[(crc ^ buffer[k]) & 255] ^ three[(crc >> 8) ^ buffer[k + 1]] ^ two[buffer[k + 2]] ^
-              one[buffer[k + 3]];
+    const int64_t *alone = crc_table, *followed = crc_table + (AT_ONCE - 1) * 256; /* by as many zeros as bytes remain */
+    for (; k + AT_ONCE <= stop; k += AT_ONCE) {
+        int64_t sum = followed[(crc ^ buffer[k]) & 255] ^ followed[-256 + ((crc >> 8) ^ buffer[k + 1])];
+        for (int64_t byte = 2; byte < AT_ONCE; byte++)
+            sum ^= followed[-256 * byte + buffer[k + byte]];
+        crc = sum;
+    }
     for (; k < stop; k++)
-        crc = (crc >> 8) ^ one[(crc ^ buffer[k]) & 255];
+        crc = (crc >> 8) ^ alone[(crc ^ buffer[k]) & 255];
     return crc;
 }
 

@@ -35,8 +35,8 @@ _FORM_OF = {ID_OF[name]: form for name, form in _FORMS.items()}
 _COUNTED = 5  # position, frames, checksum errors, unknown, skipped bytes
 _SHORTEST = 8  # bytes of a MAVLink 1 frame without payload
 
-# what a byte leaves in the checksum, alone and with one to three zeros behind it: four bytes are taken at once
-_CRC = np.array([[mcrf4xx(bytes([byte]) + bytes(zeros), 0) for byte in range(256)] for zeros in range(4)], np.int64)
+# what a byte leaves in the checksum, alone and with one to seven zeros behind it: eight bytes are taken at once
+_CRC = np.array([[mcrf4xx(bytes([byte]) + bytes(zeros), 0) for byte in range(256)] for zeros in range(8)], np.int64)
 
 
 class SampleRun(NamedTuple):
@@ -57,8 +57,8 @@ class _Plan(NamedTuple):
 
     Attributes
     ----------
-    crc : (4, 256) int64
-        What a byte leaves in the checksum, alone and with one to three zeros behind it.
+    crc : (8, 256) int64
+        What a byte leaves in the checksum, alone and with one to seven zeros behind it.
     extra : (ids,) int64
         CRC extra of every message id, -1 where it is unknown.
     longest : (256,) int64
