@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
+from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega
@@ -25,14 +29,21 @@ def build_message(identity: int, payload: bytes) -> Any:
 
     Gives the same field values as ``MAVLink.decode`` (a test holds it to that); the checksum has been checked before.
     """
+    kind, unpack, size, ordered = _layout(identity)
+    flat = unpack(payload[:size].ljust(size, b"\0"))
+    if ordered is not None:
+        return kind(*ordered(flat))
+    starts = list(itertools.accumulate(kind.lengths, initial=0))
+    return kind(*(_field(flat[starts[order] : starts[order + 1]]) for order in kind.orders))
+
+
+@functools.cache
+def _layout(identity: int) -> tuple[Any, Any, int, Callable[[tuple[Any, ...]], tuple[Any, ...]] | None]:
+    """Class, unpacking and size of a message; the order of its fields where all are single numbers."""
     kind = _CLASSES[identity]
-    size = kind.unpacker.size
-    flat = kind.unpacker.unpack(payload[:size].ljust(size, b"\0"))
-    starts = [0]
-    for length in kind.lengths:
-        starts.append(starts[-1] + length)
-    fields = [_field(flat[starts[order] : starts[order + 1]]) for order in kind.orders]
-    return kind(*fields)
+    numbers = set(kind.lengths) == {1} and "s" not in kind.unpacker.format and len(kind.orders) > 1
+    ordered = itemgetter(*kind.orders) if numbers else None
+    return kind, kind.unpacker.unpack, kind.unpacker.size, ordered
 
 
 def _field(values: tuple[Any, ...]) -> Any:
