@@ -59,6 +59,8 @@ class Wire:
     def __init__(self) -> None:
         self.inbox = b""
         self.sent: list[bytes] = []
+        self.taken = b""
+        self.full = False
 
     def fileno(self) -> int:
         return -1
@@ -68,8 +70,10 @@ class Wire:
         return data
 
     def send(self, data: bytes) -> bool:
-        self.sent.append(data)
-        return True
+        if not self.full:
+            self.sent.append(data)
+            self.taken += data
+        return not self.full
 
     def close(self) -> None:
         self.inbox = b""
@@ -198,11 +202,35 @@ def test_requests_of_others_are_answered_with_our_time() -> None:
     assert before <= answered.tc1 <= bench.clock.now
 
 
+def time_requests(chunks: list[RawChunk]) -> list[RawChunk]:
+    """Our TIMESYNC requests among chunks, each of which is one frame where we sent it."""
+    requests = []
+    for chunk in chunks:
+        (message,) = (mavlink.MAVLink(None).parse_buffer(chunk.data) if chunk.link >= OUTGOING else None) or (None,)
+        if message is not None and message.get_type() == "TIMESYNC" and message.tc1 == 0:
+            requests.append(chunk)
+    return requests
+
+
+def test_all_that_was_sent_is_recorded_once_and_in_order_and_no_more() -> None:
+    bench = Bench()
+    records = bench.fly(1)
+    for number in range(20):
+        bench.wire.full = number in (10, 11)
+        bench.pilot.publish(NoRange(bench.clock.now, 25, Reject.NO_MATCHES))
+        records += bench.fly(0.1)
+    recorded = [chunk for chunk in kinds(records, RawChunk) if chunk.link >= OUTGOING]
+    assert b"".join(chunk.data for chunk in recorded) == bench.wire.taken
+    assert [chunk.received_host_ns for chunk in recorded] == sorted(chunk.received_host_ns for chunk in recorded)
+    messages = mavlink.MAVLink(None).parse_buffer(bench.wire.taken)
+    assert {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "DISTANCE_SENSOR"} <= {message.get_type() for message in messages}
+
+
 def test_the_recorded_chunks_replay_to_the_same_records() -> None:
     bench = Bench()
     records = bench.fly(2)
     bench.vehicle.offset_ns -= 40 * S  # a reboot
-    while not any(chunk.link >= OUTGOING for chunk in kinds(records[-3:], RawChunk)):
+    while not time_requests(kinds(records[-3:], RawChunk)):
         records += bench.fly(0.005)
     # refusals are reported once a second: first in the poll of our next request, then with a later one of its period
     records += bench.fly(0.095)
@@ -249,7 +277,7 @@ def test_bytes_are_gathered_unless_the_time_is_being_asked() -> None:
         chunks += kinds(list(bench.pilot.poll(0.0)), RawChunk)
     incoming = [chunk for chunk in chunks if chunk.link < OUTGOING]
     assert 240 <= len(incoming) <= 350
-    for asked in [chunk for chunk in chunks if chunk.link >= OUTGOING]:
+    for asked in time_requests(chunks):
         answer = min(chunk.received_host_ns for chunk in incoming if chunk.received_host_ns > asked.received_host_ns)
         assert answer - asked.received_host_ns <= 2 * MS
 

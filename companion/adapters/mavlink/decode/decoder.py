@@ -1,9 +1,8 @@
 """Chunks of bytes in, records out: the one place where MAVLink's units become SI.
 
 A decoder's state comes from the chunks it was given and from nothing else, so replaying the recorded chunks, in order,
-gives the very same records. What we sent matters for one thing, to know our own TIMESYNC requests when they are
-answered: each request is therefore a chunk too, with ``link`` = :data:`OUTGOING` + link, recorded and decoded like the
-others.
+gives the very same records. What we sent is recorded as chunks too, with ``link`` = :data:`OUTGOING` + link. Of these
+only our TIMESYNC requests matter here, to know them when they are answered.
 """
 
 from __future__ import annotations

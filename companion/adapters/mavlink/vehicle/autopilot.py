@@ -12,7 +12,7 @@ from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.message_outputs import OutputPublisher
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.component.range_publisher import RangePublisher
-from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoded, Decoder
+from companion.adapters.mavlink.decode.decoder import Decoded, Decoder
 from companion.adapters.mavlink.decode.message_records import INTEGER_TYPES, Heard
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, mavlink
@@ -41,7 +41,6 @@ from companion.records import (
     Notice,
     ObstacleSectors,
     ParameterChange,
-    RawChunk,
     Record,
     Reject,
     Rejected,
@@ -100,7 +99,7 @@ class MavlinkAutopilot:
         self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
         self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
-        self._sender = ComponentSender(self._links, self.component, settings.component_id)
+        self._sender = ComponentSender(self._links, self.component, settings.component_id, clock)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
         self._integer_parameters: set[str] = set()
@@ -132,10 +131,13 @@ class MavlinkAutopilot:
     def poll(self, timeout_s: float) -> Iterator[Record]:
         """Yield what has arrived within the timeout, raw bytes first, then what they decode to.
 
-        Also sends what is due: heartbeat, TIMESYNC, rate and parameter requests. Chunks of our own TIMESYNC requests
-        are yielded like received ones; from recorded chunks :meth:`Decoder.decode_chunk` makes the same records.
+        Also sends what is due: heartbeat, TIMESYNC, rate and parameter requests. Chunks of what we sent are yielded
+        like received ones; from recorded chunks :meth:`Decoder.decode_chunk` makes the same records.
         """
-        yield from self._upkeep(self._clock.now_ns())
+        self._upkeep(self._clock.now_ns())
+        for sent in self._sender.sent():
+            yield sent
+            yield from self.decoder.decode_chunk(sent)
         if self._wait(timeout_s):
             for link in self._links:
                 chunk = link.read()
@@ -258,7 +260,8 @@ class MavlinkAutopilot:
         """Set one of our own parameters for who is no ground station."""
         self.component.parameters.ask(name, value, self._clock.now_ns())
 
-    def _upkeep(self, now_host_ns: int) -> Iterator[Record]:
+    def _upkeep(self, now_host_ns: int) -> None:
+        """Send what is due."""
         system = self.decoder.system_id
         if system is not None:
             self._sender.system = system
@@ -272,8 +275,8 @@ class MavlinkAutopilot:
             return
         for message in self.component.due(now_host_ns):
             self._sender.send(message)
-        if self._timesync.due(now_host_ns):
-            yield from self._ask_time()
+        if self._timesync.due(now_host_ns):  # answered by everyone who keeps a clock
+            self._sender.send(mavlink.MAVLink_timesync_message(0, self._clock.now_ns()))
         request = self.rates.due(now_host_ns)
         if request is not None:
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
@@ -284,16 +287,6 @@ class MavlinkAutopilot:
             delivered = self.decoder.delivered
             counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
             self.rates.verify(counts, now_host_ns)
-
-    def _ask_time(self) -> Iterator[Record]:
-        """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
-        sent_host_ns = self._clock.now_ns()
-        frame = self._sender.pack(mavlink.MAVLink_timesync_message(0, sent_host_ns))
-        for link in self._links:
-            link.write(frame)
-        chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, frame)
-        yield chunk
-        yield from self.decoder.decode_chunk(chunk)
 
     def publish(self, record: Record) -> None:
         """Send a record in the form that the autopilot understands; others are not sent.

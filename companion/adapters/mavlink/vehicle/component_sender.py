@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from companion.adapters.mavlink.component import encode
 from companion.adapters.mavlink.component.component import OnboardComponent
+from companion.adapters.mavlink.decode.decoder import OUTGOING
 from companion.adapters.mavlink.decode.message_records import parameter_encoding
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.link import Link
-from companion.records import Notice
+from companion.ports import Clock
+from companion.records import Notice, RawChunk
 
 _FIRST_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
 _COMMAND_PARAMETERS = 7  # of a COMMAND_LONG
+_MOST_UNREAD = 1024  # frames; bound of memory
 
 
 class ComponentSender:
@@ -24,8 +28,10 @@ class ComponentSender:
     because a value was not finite.
     """
 
-    def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int) -> None:
+    def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int, clock: Clock) -> None:
         self.refused = 0
+        self._clock = clock
+        self._sent: deque[RawChunk] = deque(maxlen=_MOST_UNREAD)
         self._links, self._component = links, component
         self._packer = mavlink.MAVLink(None, _FIRST_SYSTEM, component_id)
         self._texts = 0
@@ -45,9 +51,14 @@ class ComponentSender:
             self.refused += 1
             return
         frame = self.pack(message)
-        for link in self._links:
-            if number is None or link.number == number:
-                link.write(frame)
+        taken = [link.number for link in self._links if number in (None, link.number) and link.write(frame)]
+        if taken:
+            self._sent.append(RawChunk(OUTGOING + taken[0], self._clock.now_ns(), frame))
+
+    def sent(self) -> Iterator[RawChunk]:
+        """Frames that a link has taken since the last call, each once, for the recording."""
+        while self._sent:
+            yield self._sent.popleft()
 
     def pack(self, message: Any) -> bytes:
         """Bytes of a message, with the next sequence number."""
