@@ -43,7 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
     parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="where the results go")
-    parser.add_argument("--world", choices=list(WORLDS), default=IDEAL.name, help="what the aircraft flies in")
+    parser.add_argument(
+        "--world",
+        choices=list(WORLDS),
+        default=IDEAL.name,
+        help="what the aircraft flies in; the README's figures are of fair",
+    )
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the tables")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     parser.add_argument("--no-compare", action="store_true", help="leave out the two comparison replays")

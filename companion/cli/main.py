@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from companion.errors import SpanwiseError
@@ -42,6 +43,17 @@ _ONE_THREAD = ("diagnose", "fleet")
 """Many small systems: threads of linear algebra that wait for one another take longer, beside other work much."""
 
 
+class _WithDefaults(argparse.HelpFormatter):
+    """Help that says each option's default, where it has one."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text, default = action.help or "", action.default
+        says = isinstance(default, str | int | float | Path) and not isinstance(default, bool)
+        if not (action.option_strings and says) or default in ("", argparse.SUPPRESS) or "default" in text:
+            return text
+        return f"{text} (default: {f'{default:g}' if isinstance(default, float) else default})"
+
+
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The whole command line; with ``only``, that command's options alone: the other rooms take seconds to load."""
     parser = argparse.ArgumentParser(
@@ -50,7 +62,9 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"spanwise {metadata.version('spanwise')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     for name, text in _COMMANDS.items():
-        command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        command = commands.add_parser(
+            name, help=text, description=text, allow_abbrev=False, formatter_class=_WithDefaults
+        )
         if only in (None, name):
             _module(name).add_arguments(command)
     return parser

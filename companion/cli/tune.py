@@ -6,7 +6,9 @@ import argparse
 import dataclasses
 import json
 import multiprocessing
+import os
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -15,8 +17,9 @@ from typing import Any
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import named_value
+from companion.cli.terminal.progress import say
 from companion.errors import NOTHING_TO_ESTIMATE
-from companion.evaluation.tuning import ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
+from companion.evaluation.tuning import JUDGED, ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
 
 _MOST_WORKERS = 64  # more than there are trials
 _HEADS = ("trial", "shots", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
@@ -29,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--try", action="append", default=[], metavar="NAME=VALUE", dest="tries",
         help="a value to try in place of the usual ones; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=1, help="replays at a time")
+    workers = min(os.cpu_count() or 1, _MOST_WORKERS)
+    parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=workers, help="replays at a time")
     parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
 
 
@@ -39,12 +43,15 @@ def execute(options: argparse.Namespace) -> int:
     trials = [ParameterTrial((named_value("--try", text),)) for text in options.tries] or usual_trials(settings)
     for trial in trials:
         trial.over(settings)
+    began_s = time.monotonic()
     rows = [_row(ParameterTrial(()), try_out(options.recording, ParameterTrial(())), None)]
     flown = TrialOutcome(**rows[0]["outcome"])
     _show(rows[0], options)
     if not flown.trusted:
         print("spanwise tune: no range of this flight was trusted; spanwise report says why", file=sys.stderr)
         return NOTHING_TO_ESTIMATE
+    each_s = time.monotonic() - began_s
+    say(f"{len(trials)} trials, two replays each: {waits(each_s * len(trials) / options.workers)}")
     for trial, outcome in _tried(options.recording, trials, options.workers):
         rows.append(_row(trial, outcome, flown))
         _show(rows[-1], options)
@@ -108,10 +115,15 @@ def _show(row: dict[str, Any], options: argparse.Namespace) -> None:
         print(_line(_HEADS), file=out)
     got = row["outcome"]
     counts = (got[name] for name in ("shots", "skipped", "ranges", "trusted"))
-    sigma, delay = f"{100 * got['sigma_ratio']:.2f} %", f"{1e3 * got['delay_s']:.0f} ms"
+    figures = (f"{100 * got['sigma_ratio']:.2f} %", f"{got['scatter_ratio']:.2f}", f"{1e3 * got['delay_s']:.0f} ms")
     mark = "better: " if row["proposed"] else ""
-    cells = (row["trial"], *counts, sigma, f"{got['scatter_ratio']:.2f}", delay, mark + row["why"])
+    cells = (row["trial"], *counts, *(figures if got["trusted"] else ("-", "-", "-")), mark + row["why"])
     print(_line(cells), file=out, flush=True)
+
+
+def waits(seconds: float) -> str:
+    """How long something will take, in words."""
+    return f"about {seconds:.0f} s" if seconds < 90.0 else f"about {seconds / 60.0:.0f} min"
 
 
 def _line(cells: tuple[object, ...]) -> str:
@@ -121,8 +133,11 @@ def _line(cells: tuple[object, ...]) -> str:
 
 def _sentence(result: dict[str, Any]) -> str:
     values = result["proposal"]
-    note = "ranges are of the pairs that were flown; another trigger setting would have made others (shots)"
+    note = (
+        "ranges are of the pairs that were flown; another trigger setting would have made others (shots). Sigma is "
+        f"the median of sigma over range, scatter the differences of neighbours in their sigmas. {JUDGED}"
+    )
     if not values:
-        return f"nothing to change: no trial betters one figure and worsens none ({note})"
+        return f"nothing to change: no trial betters one figure and worsens none\n({note})"
     settings = " ".join(f"--set {name}={value:g}" for name, value in values.items())
-    return f"proposed: {settings}  (or as MAVLink parameters; {note})"
+    return f"proposed: {settings}  (or as MAVLink parameters)\n({note})"

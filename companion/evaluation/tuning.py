@@ -2,7 +2,7 @@
 
 A replay uses the images of the flight, so ranges come from the recorded pairs. With other values the planner would have
 fired other shots: they are counted in a second replay, in which each plan is fired as planned. No truth is known; a
-change is proposed where it improves one figure and worsens none.
+change is proposed where it improves one figure by a twentieth and worsens none by a fiftieth.
 """
 
 from __future__ import annotations
@@ -23,6 +23,11 @@ from companion.records import ClockName, CorrectedRange, Firing, ParameterChange
 
 _BETTER_RATIO = 0.05  # a gain that is worth a change (choice)
 _WORSE_RATIO = 0.02  # a loss that is none (choice)
+JUDGED = (
+    f"Better is {100 * _BETTER_RATIO:g} % and more, worse {100 * _WORSE_RATIO:g} % and more; "
+    "what is nearer to the truth no replay can tell"
+)
+"""How trials are judged, in a sentence."""
 _NEIGHBOURS_S = 1.0  # trusted ranges that are compared with each other
 _FACTORS: dict[str, tuple[float, ...]] = {
     "TRK_LAG": (0.5, 1.6),

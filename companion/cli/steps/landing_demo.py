@@ -20,6 +20,9 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.sim.flight.worlds import IDEAL
 
+_SHORT_HEADS = ("air", "range finder", "n", "flare", "high", "none", "sink", "place", "around")  # a terminal is narrow
+_ENOUGH = 10  # landings of a kind, as the published tables have
+
 
 def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) -> int:
     """Fly ``options.flights`` landings from ``options.seed`` on with each range finder, and show them.
@@ -68,12 +71,17 @@ def write_landings(rows: Sequence[Row], folder: Path) -> None:
 
 
 def print_table(rows: Sequence[Row]) -> None:
-    """Print the table; medians with the extremes in parentheses."""
+    """Print the table; medians with the extremes in parentheses, and what its short heads mean."""
     from rich.table import Table  # an extra
 
     table = Table(title="landings: median (least to most)", title_justify="left")
-    for head in HEADS:
+    for head in _SHORT_HEADS:
         table.add_column(head)
     for row in cells(rows):
         table.add_row(*row)
     console().print(table)
+    for short, head in zip(_SHORT_HEADS, HEADS, strict=True):
+        if short != head:
+            print(f"  {short}: {head}")
+    if len({row["seed"] for row in rows}) < _ENOUGH:
+        print("  differences between so few landings are chance: --flights 10 shows more")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +25,7 @@ from companion.records import (
 )
 
 _RECENT = 4  # sentences that stay on the screen
+_TRUSTED = "trusted"
 
 
 @dataclass(slots=True)
@@ -57,7 +59,7 @@ class View:
             self.mode = record
         elif isinstance(record, CorrectedRange):
             self.range = record
-            self.ranges["trusted" if record.trusted else str(record.reject)] += 1
+            self.ranges[_TRUSTED if record.trusted else str(record.reject)] += 1
         elif isinstance(record, NoRange):
             self.no_range = record
         elif isinstance(record, ServiceStatus):
@@ -122,7 +124,7 @@ class View:
             rows.append(("shots", ", ".join(f"{count} {outcome}" for outcome, count in plan_outcomes.items())))
         if self.range is not None:
             rows.append(("range", _range(self.range)))
-            rows.append(("published", ", ".join(f"{count} {kind}" for kind, count in self.ranges.items())))
+            rows.append(("ranges", _ranges(self.ranges)))
         elif self.no_range is not None:
             rows.append(("range", f"none: {self.no_range.reject}"))
         return rows
@@ -134,6 +136,12 @@ def _mode(mode: ModeEstimate) -> str:
         f"amplitude {1e3 * mode.amplitude_m:5.2f} ±{1e3 * mode.amplitude_sigma_m:4.2f} mm  "
         f"phase {math.degrees(mode.phase_rad) % 360:5.1f}°"
     )
+
+
+def _ranges(counts: Mapping[str, int]) -> str:
+    """How many ranges went out, and how many did not, by reason."""
+    withheld = ", ".join(f"{count} {kind}" for kind, count in counts.items() if kind != _TRUSTED)
+    return f"{counts.get(_TRUSTED, 0)} published" + (f"; withheld: {withheld}" if withheld else "")
 
 
 def _range(measured: CorrectedRange) -> str:
