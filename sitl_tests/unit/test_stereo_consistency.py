@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.core.stereo.consistency_gate import Innovation, MatchTest, MatchVerdict
+from companion.core.stereo.consistency_gate import Innovation, MatchTest, MatchVerdict, RangeGate, range_slack_mps
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -188,6 +188,29 @@ def test_a_real_step_of_the_ground_is_believed_within_a_second_and_a_half(step_m
     back = next(k for k in range(CALM_PAIRS, PAIRS) if ranges[k].trusted)
     assert (back - CALM_PAIRS) * PERIOD_NS < 1500 * MS
     assert all(entry.trusted for entry in ranges[back:])
+
+
+def over_a_slope(slope: float, *, toe_confirmed: bool, airspeed_mps: float = 22.0) -> list[bool]:
+    """Whether each range is trusted, of an aircraft that flies level towards a slope; it begins at the tenth pair."""
+    gate, slack_mps = RangeGate(1.0), range_slack_mps(True, airspeed_mps, toe_confirmed=toe_confirmed)
+    trusted = []
+    for k in range(20):
+        range_m = 60.0 - slope * airspeed_mps * 1e-9 * PERIOD_NS * max(k - 9, 0)
+        measured = CorrectedRange(
+            k, k, k * PERIOD_NS, 25, range_m, 0.05, 0.0, 1e-4, range_m, 100, trusted=True, reject=None
+        )
+        trusted.append(gate.judge(measured, 0.0, slack_mps).trusted)
+    return trusted
+
+
+@pytest.mark.parametrize("slope", [-0.9, 0.9])
+def test_a_slope_of_forty_degrees_is_believed_at_once_where_the_flow_confirms_the_toe(slope: float) -> None:
+    assert all(over_a_slope(slope, toe_confirmed=True)[2:])
+    assert not all(over_a_slope(slope, toe_confirmed=False)[10:])
+
+
+def test_no_slope_explains_a_jump_that_a_turned_camera_does() -> None:
+    assert not any(over_a_slope(1.6, toe_confirmed=True)[10:])
 
 
 def test_where_nothing_looks_at_matches_a_new_surface_must_stay_for_five_seconds() -> None:

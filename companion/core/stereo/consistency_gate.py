@@ -33,6 +33,7 @@ _ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
 _KNOCKED_SIGMAS = 10.0
 _DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty
 _TERRAIN_SLACK_MPS = 8.0  # slope of terrain under a downward pair at flight speed (choice)
+_STEEPEST = 1.0  # slope of terrain, trees and houses that a pair is granted whose toe the flow confirms (choice)
 _OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle
 _CLEAR_MATCHES = 3  # far ones that clear a sector (choice)
 _OBSTACLE_SIGMAS = 3.0  # of the difference of two distances
@@ -238,9 +239,15 @@ def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
     return dataclasses.replace(measured, trusted=False, reject=reason)
 
 
-def range_slack_mps(looks_down: bool, airspeed_mps: float) -> float:
-    """Rate at which a range may change beyond the climb rate, m/s: terrain, and ahead the closing speed."""
-    return _TERRAIN_SLACK_MPS + (0.0 if looks_down else airspeed_mps)
+def range_slack_mps(looks_down: bool, airspeed_mps: float, *, toe_confirmed: bool) -> float:
+    """Rate at which a range may change beyond the climb rate, m/s: terrain, and ahead the closing speed.
+
+    ``toe_confirmed`` is whether the flow of this very pair agrees with the toe that is believed. A jump then is the
+    surface's, as far as slopes go, and no sign of cameras that have turned.
+    """
+    if not looks_down:
+        return _TERRAIN_SLACK_MPS + airspeed_mps
+    return max(_TERRAIN_SLACK_MPS, _STEEPEST * airspeed_mps) if toe_confirmed else _TERRAIN_SLACK_MPS
 
 
 def precise(inverse_pm: Floats, sigma_pm: Floats, settings: Settings) -> Bools:

@@ -129,7 +129,7 @@ class Correction:
         if self.drift_filter.verdict is not MatchVerdict.AGREE or self.drift_filter.flow_contradicts:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
-        judged = self._judged(withheld(answer.range, reason), lasting_m)
+        judged = self._judged(withheld(answer.range, reason), lasting_m, toe_confirmed=turned.flow > 0)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
@@ -151,11 +151,12 @@ class Correction:
                 Severity.WARNING, f"lenses are off by {times:.0f} times their sigma: calibrate the cameras", now_host_ns
             )
 
-    def _judged(self, measured: CorrectedRange, lasting_m: float) -> CorrectedRange:
+    def _judged(self, measured: CorrectedRange, lasting_m: float, *, toe_confirmed: bool) -> CorrectedRange:
         """The range as the gate has it, which moves the last ones on by the climb rate that was told last."""
         newest = self.vehicle.newest
         climb_mps, airspeed_mps = (0.0, 0.0) if newest is None else (newest.climb_mps, newest.airspeed_mps)
-        return self.gate.judge(measured, climb_mps, range_slack_mps(self.airframe.looks_down, airspeed_mps), lasting_m)
+        slack_mps = range_slack_mps(self.airframe.looks_down, airspeed_mps, toe_confirmed=toe_confirmed)
+        return self.gate.judge(measured, climb_mps, slack_mps, lasting_m)
 
     def _lasting_m(self, turned: RelativeRotation, range_m: float) -> float:
         """The part of a range's sigma that its neighbours share: the slow toe's."""
