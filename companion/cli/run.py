@@ -185,6 +185,8 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     finally:
         keeper.keep()
     print(view.line(time.monotonic() - began).strip())
+    if config.recording is not None and config.recording.exists():
+        print(f"recorded {config.recording}; next: spanwise report {config.recording}")
     if options.seconds and not stopped and not view.began:
         print(f"spanwise run: nothing to estimate in {options.seconds:g} s", file=sys.stderr)
         return NOTHING_TO_ESTIMATE

@@ -30,7 +30,7 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
     name = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(pilot.autopilot, "")
     slow = evidence.live and rate_hz < _LEAST_BEATS_HZ
     text = f"autopilot {evidence.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
-        ": frames are lost on the way" if slow else ""
+        ": frames are lost on the way, or a simulated vehicle's computer is too busy" if slow else ""
     )
     yield Finding("heartbeat", FindingLevel.FIX if slow else FindingLevel.OK, text)
     yield from _wire(evidence)

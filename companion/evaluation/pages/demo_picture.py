@@ -51,8 +51,8 @@ def _figure_that_counts(plain: dict[str, Any]) -> str:
     trusted = f"{shots['trusted']} of {shots['corrected']} ranges trusted and published"
     if removed is None or None in far:
         return trusted[:1].upper() + trusted[1:]
-    change = f"at {_FAR} m {far[0]:.2f} m become {far[1]:.2f} m (median)"
-    return f"{100.0 * removed:.1f} % of the error removed: {change}; {trusted}"
+    change = f"Median error at {_FAR} m: {far[1]:.2f} m, rigid stereo {far[0]:.1f} m"
+    return f"{change}; {100.0 * removed:.1f} % of the toe's error removed; {trusted}"
 
 
 def _ranges(axis: Any, evaluation: FlightEvaluation) -> None:
@@ -118,9 +118,10 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
                               arrowprops={"arrowstyle": "<-", "color": _COLOURS[name]})  # fmt: skip
     axis.set_yscale("log")
     axis.set_xticks(range(len(DISTANCES_M)), [f"{d:g} m" for d in DISTANCES_M])
-    axis.set(title="Range error: median (bar) to 95th percentile (line)", xlabel="true range", ylabel="range error, m")
-    axis.set_xlim(-0.6, len(DISTANCES_M) - 0.4)
-    axis.legend(fontsize=8)
+    title = "Range error: median (bar) to 95th percentile (line; ∞: beyond infinity)"
+    axis.set(title=title, xlabel="true range", ylabel="range error, m")
+    axis.set_xlim(-0.6, len(DISTANCES_M) + 0.5)  # room for the legend beside the bars
+    axis.legend(fontsize=8, loc="upper right")
 
 
 def _blur(axis: Any, evaluation: FlightEvaluation) -> None:
@@ -129,7 +130,7 @@ def _blur(axis: Any, evaluation: FlightEvaluation) -> None:
         for name in ("at_plan", "at_random")
         if f"blur.{name}" in evaluation.series
     }
-    labels = {"at_plan": "triggered at peaks", "at_random": "triggered at random"}
+    labels = {"at_plan": "aimed shots", "at_random": "shots at random instants"}
     for name, values in below.items():
         rank = np.arange(1, len(values) + 1) / max(len(values), 1)
         axis.plot(np.sort(values), 100 * rank, lw=2, label=labels[name],
