@@ -18,6 +18,7 @@ _RECEIVE_BUFFER_BYTES = 1 << 20
 _LARGEST_DATAGRAM = 65536  # bytes, of UDP
 _MOST_PEERS = 16  # bound of memory
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
+_MOST_READS = 64  # of 64 system calls each at most; the same bound where many are read at once
 _MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
 
 
@@ -90,7 +91,7 @@ class UdpIn(_Udp):
         """Drain the socket."""
         filled, reader, senders = 0, self._reader, self.senders
         came: list[bytes] = []
-        for _ in range(_MOST_DATAGRAMS):
+        for _ in range(_MOST_READS):
             try:
                 read = reader.read(limit - filled, senders.guarded, senders.system)
             except ConnectionError:  # an earlier datagram of ours was refused; says nothing of this one
