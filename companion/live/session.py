@@ -70,7 +70,7 @@ class LiveSession:
         self._failure = ""
         self._events: deque[Notice] = deque(maxlen=_MOST_EVENTS)
         self._broadcaster = Broadcaster(lambda: self._settings.values(), self._heed)
-        access = Access(config.token, config.is_loopback)
+        access = Access(config.token, config.is_loopback, config.token_place)
         self._door = Door(listening, access, self._answer, self._broadcaster.port)
 
     def publish(self, record: Recordable) -> None:

@@ -31,8 +31,16 @@ def read_live(options: argparse.Namespace, recording: Path | None) -> LiveConfig
     require_live()
     folder = state_file("recordings") if recording is None else recording.resolve().parent
     config = live_config(options.live, folder, state_file("live-token"))
-    print(f"live view: {config.url}", file=sys.stderr, flush=True)
+    say_where(config)
     return config
+
+
+def say_where(config: LiveConfig) -> None:
+    """Print every address that opens the page, and where the token is kept if they have it."""
+    print(f"live view: {f'{chr(10)}           '.join(config.urls)}", file=sys.stderr)
+    if not config.is_loopback:
+        print(f"           (the token is in {config.token_place})", file=sys.stderr)
+    sys.stderr.flush()
 
 
 @contextmanager
