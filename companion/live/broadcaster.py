@@ -41,7 +41,8 @@ class Broadcaster:
         self._lock = threading.Lock()
         self._subscribers: Counter[str] = Counter()
         self._latest_ns = 0
-        self._sdk.set_log_level("ERROR")
+        # a browser that is closed is an error to the SDK; a server that does not start raises, whatever the level
+        self._sdk.set_log_level("CRITICAL")
         self._context = context = self._sdk.Context()  # the server holds it weakly
         self._bits = {topic: BIT[kind] for topic, kind, _ in _topics()}
         self._server = self._sdk.start_server(

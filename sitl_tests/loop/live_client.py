@@ -76,6 +76,11 @@ class LiveClient:
     def close(self) -> None:
         self._socket.close()
 
+    def break_off(self) -> None:
+        """Close as a browser that is ended does: without a word of the protocol, with bytes still unread."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._socket.close()
+
     def _take(self, count: int) -> bytes:
         while len(self._buffer) < count:
             self._more()
