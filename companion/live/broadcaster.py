@@ -15,6 +15,9 @@ from companion.live.feed import BIT
 from companion.records import Frame, FramePair, ImuBatch, RawChunk, Station
 
 _BACKLOG = 256  # messages that wait for one client; then the oldest go
+ENDED = "ended"
+"""Id of the protocol's status message that says that nothing more comes."""
+_LAST_WORDS_S = 0.4  # the SDK throws away what waits when it stops
 
 
 def require_live() -> Any:
@@ -81,6 +84,12 @@ class Broadcaster:
     def publish_parameter(self, name: str, value: float) -> None:
         """Tell a changed parameter to those who follow parameters."""
         self._server.publish_parameter_values([self._sdk.Parameter(name, value=float(value))])
+
+    def publish_end(self, sentence: str) -> None:
+        """Tell all who are connected that nothing more comes, and why."""
+        self._server.publish_status(sentence, self._sdk.websocket.StatusLevel.Info, ENDED)
+        if any(self._subscribers.values()):
+            threading.Event().wait(_LAST_WORDS_S)  # nothing says when all is sent
 
     def close(self) -> None:
         """Stop the server."""

@@ -94,6 +94,18 @@ class LiveClient:
         self._buffer += piece
 
 
+def last_words(client: LiveClient) -> list[str]:
+    """Sentences of the status messages that say that it has ended, until the server hangs up."""
+    said = []
+    try:
+        while True:
+            message = client.hear()
+            if isinstance(message, dict) and message["op"] == "status" and message["id"] == "ended":
+                said.append(str(message["message"]))
+    except ConnectionError:
+        return said
+
+
 def ask(port: int, method: str, path: str, content: Any = None, **headers: str) -> tuple[int, dict[str, str], bytes]:
     """One request of HTTP: status, headers, body."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)

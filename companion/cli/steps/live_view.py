@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from companion.cli.steps.options import state_file
+from companion.live.about import INTERRUPTIONS
 from companion.live.broadcaster import require_live
 from companion.live.config import DEFAULT_ADDRESS, LiveConfig, live_config
 from companion.live.door import listen
@@ -53,5 +54,7 @@ def live_session(config: LiveConfig | None, subject: Subject) -> Iterator[LiveSe
         session = LiveSession(config, subject, listening)
         try:
             yield session
+            session.end()
         finally:
+            session.end(INTERRUPTIONS[subject.kind])
             session.close()
