@@ -70,7 +70,7 @@ function charts() {
   };
   const range = new Chart($("range-chart"),
     [{ color: "var(--blue)", value: (p) => (p.trusted ? p.range_m : null), sigma: (p) => 2 * p.sigma_m }],
-    { limits: near, dots: [
+    { limits: near, unit: " m", dots: [
       { color: "var(--vermillion)", value: (p) => (p.rigid_m > 0 ? p.rigid_m : Infinity) },
       { color: "var(--grey)", hollow: true, value: (p) => (p.trusted ? null : p.range_m) }] });
   const pair = (svg, value, sigma, limits) => new Chart(svg,
