@@ -230,6 +230,11 @@ def test_the_page_says_that_nothing_comes_any_more(flight: Flight) -> None:
 ENDED = "document.getElementById('health').textContent === 'ended'"
 
 
+def tops(browser: Browser, *places: str) -> list[float]:
+    """Heights at which some cards stand."""
+    return [float(browser.value(f"document.querySelector('{each}').getBoundingClientRect().top")) for each in places]
+
+
 def without(*kinds: type) -> Records:
     return lambda step: [record for record in records_at(step) if not isinstance(record, kinds)]
 
@@ -311,6 +316,18 @@ def test_the_page_goes_over_to_the_service_that_follows(tmp_path: Path) -> None:
         with flying(tmp_path, first.port, title="second"):
             browser.until("document.getElementById('who').textContent === 'nadir-2m, second'")
             browser.until("document.getElementById('health').textContent === 'active'")
+
+
+def test_on_a_phone_what_is_wrong_stands_right_below_the_range(tmp_path: Path) -> None:
+    with flying(tmp_path, records=without(ObstacleSectors)) as flown, Browser(*SIZES["phone"]) as browser:
+        browser.open(flown.url)
+        browser.until("document.getElementById('events')?.textContent.includes('clock restarted')")
+        order = tops(browser, ".range", ".events", ".health", ".wing", ".recordings", ".parameters")
+        assert order == sorted(order)
+        assert order[1] < SIZES["phone"][1], "on the first screen"
+        assert browser.value("document.querySelector('.sectors').getBoundingClientRect().height") == 0
+        rows = "[...document.querySelectorAll('.row')]"
+        assert browser.value(f"{rows}.every((row) => row.querySelector('p').clientWidth > 0.95 * row.clientWidth)")
 
 
 def test_a_range_that_alone_is_trusted_is_drawn(tmp_path: Path) -> None:
