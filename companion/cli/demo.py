@@ -27,6 +27,7 @@ from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.flight_evaluation import evaluate_flight
 from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage
+from companion.live.about import ViewKind
 from companion.live.session import Subject
 from companion.params.files import load_airframe
 from companion.reporting.plotting import require_report
@@ -107,7 +108,10 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
     live = live_view_possible(plain=options.plain or options.json)
     if options.realtime:
         return fly_in_real_time(config, flight, view, live=live)
-    subject = Subject(config.airframe, config.settings, f"demo, seed {flight.seed}", is_recording=True)
+    subject = Subject(
+        config.airframe, config.settings, f"demo, seed {flight.seed}", is_recording=True, kind=ViewKind.DEMO,
+        began_host_ns=EPOCH_NS,
+    )  # fmt: skip
     with live_session(config.live, subject) as watched:
         service = LockStepService(config, flight, watched)
         view.progress = service.progress()

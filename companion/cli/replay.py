@@ -21,11 +21,12 @@ from companion.adapters.recordings.recording import Recording
 from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.options import add_recording, add_settings, check_output, open_given, read_settings
 from companion.cli.steps.paced_view import PacedView
-from companion.cli.terminal.progress import Progress, progress_of
+from companion.cli.terminal.progress import Progress, progress_of, say
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.replay_comparison import ROUNDING_RATIO, ReplayComparison
 from companion.evaluation.station_tones import StationAnalysis
+from companion.live.about import ViewKind
 from companion.live.session import Subject
 from companion.params.settings import Settings
 from companion.records import (
@@ -96,7 +97,7 @@ def execute(options: argparse.Namespace) -> int:
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
     live = read_live(options, recording.path)
-    with live_session(live, Subject(recording.airframe, settings, recording.path.name, is_recording=True)) as watched:
+    with live_session(live, _subject(recording, settings)) as watched:
         show = None if watched is None else PacedView(watched)
         for output in _replayed(recording, settings, is_own_format, stations, progress, show):
             counters.take(output)
@@ -106,16 +107,28 @@ def execute(options: argparse.Namespace) -> int:
                 writer.write(output)
             if recorded is not None and isinstance(output, _OUTPUTS):
                 comparison.compare(next(recorded, None), output, lossy=_lossy(recording))
-    progress.close()
-    if writer is not None:
-        writer.close()
-    _left_over(comparison, recorded)
-    result = _result(recording, counters, stations, comparison if recorded is not None else None)
-    print(json.dumps(result, indent=2) if options.json else _text(result))
+        progress.close()
+        if writer is not None:
+            writer.close()
+        _left_over(comparison, recorded)
+        result = _result(recording, counters, stations, comparison if recorded is not None else None)
+        print(json.dumps(result, indent=2) if options.json else _text(result), flush=True)
+        if show is not None and sys.stdin.isatty() and sys.stdout.isatty():
+            say("the recording has ended; its page stays up with the last values until Ctrl-C")
+            show.stay()
     if comparison.difference:
         print(f"spanwise replay: not reproduced: {comparison.difference}", file=sys.stderr)
         return 1
     return 0 if counters.trusted or counters.last_tracking or stations.has_tone else NOTHING_TO_ESTIMATE
+
+
+def _subject(recording: Recording, settings: Settings) -> Subject:
+    """Subject of the live view; logs that are not ours have no images."""
+    has_images = isinstance(recording, McapRecording) and recording.has_images
+    return Subject(
+        recording.airframe, settings, recording.path.name, is_recording=True, kind=ViewKind.REPLAY,
+        has_images=has_images,
+    )  # fmt: skip
 
 
 def encoded(record: Record) -> bytes:

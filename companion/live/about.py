@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Any
 
 from companion.adapters.recordings.mcap.writer import software_version
 from companion.params.airframe import Airframe, Camera, Mode
 from companion.params.settings import tunables
 from companion.records import Reject
+
+
+class ViewKind(StrEnum):
+    """Kind of what a live view shows; the page says it beside its dot."""
+
+    LIVE = "live"
+    DEMO = "demo"
+    REPLAY = "replay"
+
+
+ENDINGS: dict[ViewKind, str] = {
+    ViewKind.LIVE: "the service was stopped",
+    ViewKind.DEMO: "the demo flight has ended",
+    ViewKind.REPLAY: "the recording has ended",
+}
+"""Sentences that say that nothing more comes."""
+INTERRUPTIONS: dict[ViewKind, str] = {
+    ViewKind.LIVE: "the service was stopped",
+    ViewKind.DEMO: "the demo was stopped",
+    ViewKind.REPLAY: "the replay was stopped",
+}
+"""The same, before the end."""
 
 
 def facts(airframe: Airframe, title: str) -> dict[str, Any]:

@@ -23,6 +23,7 @@ class Access:
 
     token: str | None
     is_loopback: bool
+    token_place: str = ""
 
     def admits(self, request: Request) -> bool:
         """Whether the request may be answered."""

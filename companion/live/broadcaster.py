@@ -15,6 +15,9 @@ from companion.live.feed import BIT
 from companion.records import Frame, FramePair, ImuBatch, RawChunk, Station
 
 _BACKLOG = 256  # messages that wait for one client; then the oldest go
+ENDED = "ended"
+"""Id of the protocol's status message that says that nothing more comes."""
+_LAST_WORDS_S = 0.4  # the SDK throws away what waits when it stops
 
 
 def require_live() -> Any:
@@ -41,7 +44,8 @@ class Broadcaster:
         self._lock = threading.Lock()
         self._subscribers: Counter[str] = Counter()
         self._latest_ns = 0
-        self._sdk.set_log_level("ERROR")
+        # a browser that is closed is an error to the SDK; a server that does not start raises, whatever the level
+        self._sdk.set_log_level("CRITICAL")
         self._context = context = self._sdk.Context()  # the server holds it weakly
         self._bits = {topic: BIT[kind] for topic, kind, _ in _topics()}
         self._server = self._sdk.start_server(
@@ -80,6 +84,12 @@ class Broadcaster:
     def publish_parameter(self, name: str, value: float) -> None:
         """Tell a changed parameter to those who follow parameters."""
         self._server.publish_parameter_values([self._sdk.Parameter(name, value=float(value))])
+
+    def publish_end(self, sentence: str) -> None:
+        """Tell all who are connected that nothing more comes, and why."""
+        self._server.publish_status(sentence, self._sdk.websocket.StatusLevel.Info, ENDED)
+        if any(self._subscribers.values()):
+            threading.Event().wait(_LAST_WORDS_S)  # nothing says when all is sent
 
     def close(self) -> None:
         """Stop the server."""

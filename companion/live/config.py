@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import os
 import secrets
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.errors import ConfigError
+from companion.live.networks import open_addresses
 
 DEFAULT_PORT = 8765  # the one that Foxglove and Lichtblick offer
 DEFAULT_ADDRESS = f"127.0.0.1:{DEFAULT_PORT}"
@@ -22,12 +24,14 @@ class LiveConfig:
 
     ``token`` is asked of everyone where the address is reachable from outside, and on loopback of pages of another
     origin; None admits local pages alone. ``folder`` has the recordings that may be fetched, and takes the page's own.
+    ``token_file`` holds the token, for a sentence that says where it is to be looked up.
     """
 
     host: str
     port: int
     token: str | None
     folder: Path
+    token_file: Path | None = None
 
     @property
     def is_loopback(self) -> bool:
@@ -35,11 +39,20 @@ class LiveConfig:
         return is_loopback(self.host)
 
     @property
-    def url(self) -> str:
-        """Address of the page, with the token where one is needed."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
+    def urls(self) -> list[str]:
+        """Addresses of the page that can be opened, with the token where one is needed."""
+        hosts = [f"[{host}]" if ":" in host else host for host in open_addresses(self.host)]
         suffix = "" if self.is_loopback or self.token is None else f"?token={self.token}"
-        return f"http://{host}:{self.port}/{suffix}"
+        return [f"http://{host}:{self.port}/{suffix}" for host in hosts]
+
+    @property
+    def token_place(self) -> str:
+        """Where the token is kept, in the words of a person at this computer; "" where there is no file."""
+        if self.token_file is None:
+            return ""
+        with contextlib.suppress(ValueError, RuntimeError):
+            return f"~/{self.token_file.relative_to(Path.home())}"
+        return str(self.token_file)
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -81,7 +94,7 @@ def live_config(text: str, folder: Path, token_file: Path) -> LiveConfig:
     """
     host, port = parse_address(text)
     token = _stored_token(token_file) if token_file.is_file() or not is_loopback(host) else None
-    return LiveConfig(host, port, token, folder)
+    return LiveConfig(host, port, token, folder, token_file)
 
 
 def _stored_token(path: Path) -> str:

@@ -99,7 +99,7 @@ class Door:
         if request is None:
             return await _send(writer, refusal(HTTPStatus.BAD_REQUEST, "this is no request of HTTP"))
         if not self._access.admits(request):
-            public = public_answer(request, is_loopback=self._access.is_loopback)
+            public = public_answer(request, self._access.token_place, is_loopback=self._access.is_loopback)
             return await _send(writer, public or refusal(HTTPStatus.FORBIDDEN, _SHUT_OUT))
         if request.is_websocket:
             name = tunnel.subprotocol(request)

@@ -34,6 +34,7 @@ def serve_live(
                 selector.register(RecorderReceiver(end), selectors.EVENT_READ)
             while not stop.is_set():
                 _run_once(session, selector)
+        session.end()  # not where an error ends it: then this process is started again
     finally:
         session.close()
 

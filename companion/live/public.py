@@ -7,6 +7,7 @@ to needs the token.
 
 from __future__ import annotations
 
+import html
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
@@ -15,16 +16,18 @@ from companion.adapters.recordings.mcap.writer import software_version
 from companion.live.requests import HttpAnswer, Request, as_json
 
 REGISTRATION = "/register_service"
-_WRONG = "<!-- wrong token -->"
+_WRONG, _PLACE = "<!-- wrong token -->", "<!-- token file -->"
 
 
-def public_answer(request: Request, *, is_loopback: bool) -> HttpAnswer | None:
+def public_answer(request: Request, token_place: str = "", *, is_loopback: bool) -> HttpAnswer | None:
     """Answer for a request that is not admitted; None where it is refused."""
     if request.method != "GET" or request.is_websocket:
         return None
     if request.path == REGISTRATION:
         return as_json(registration())
-    return token_page(wrong="token" in request.query) if request.path == "/" and not is_loopback else None
+    if request.path != "/" or is_loopback:
+        return None
+    return token_page(token_place, wrong="token" in request.query)
 
 
 def registration() -> dict[str, Any]:
@@ -42,8 +45,9 @@ def registration() -> dict[str, Any]:
     }
 
 
-def token_page(*, wrong: bool) -> HttpAnswer:
-    """Page with a field for the token; it loads nothing else."""
+def token_page(token_place: str, *, wrong: bool) -> HttpAnswer:
+    """Page with a field for the token, and where to look it up; it loads nothing else."""
     text = (resources.files("companion.live") / "page" / "token.html").read_text(encoding="utf-8")
     text = text.replace(_WRONG, "That is not the token." if wrong else "")
+    text = text.replace(_PLACE, html.escape(token_place or "live-token"))
     return HttpAnswer(HTTPStatus.OK, text.encode(), "text/html; charset=utf-8")

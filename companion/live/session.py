@@ -16,7 +16,7 @@ from typing import Any
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.writer import About
 from companion.errors import ConfigError, RecordingError
-from companion.live.about import facts, parameter_table
+from companion.live.about import ENDINGS, ViewKind, facts, parameter_table
 from companion.live.access import Access
 from companion.live.broadcaster import Broadcaster
 from companion.live.config import LiveConfig
@@ -42,7 +42,8 @@ class Subject:
 
     ``title`` is what runs: "live", "demo", or the name of a recording. ``ask`` hands on the wish to set a parameter
     (name, value), None where nothing can be set; ``heed`` is told the kinds of record that somebody looks at, as bits
-    of :data:`companion.live.feed.BIT`.
+    of :data:`companion.live.feed.BIT`. ``began_host_ns`` is when the flight, the recording or the service began, None
+    where only its records tell. Without ``has_images`` no image can come.
     """
 
     airframe: Airframe
@@ -51,6 +52,9 @@ class Subject:
     ask: Callable[[str, float], object] | None = None
     heed: Callable[[int], object] = lambda _mask: None
     is_recording: bool = False
+    kind: ViewKind = ViewKind.LIVE
+    has_images: bool = True
+    began_host_ns: int | None = None
 
 
 class LiveSession:
@@ -67,10 +71,11 @@ class LiveSession:
         self._tape = LiveTape(config.folder)
         self._watched = 0
         self._switches: queue.Queue[bool] = queue.Queue(_MOST_REQUESTS)
-        self._failure = ""
+        self._failure = self._ended = ""
+        self._began_host_ns = subject.began_host_ns
         self._events: deque[Notice] = deque(maxlen=_MOST_EVENTS)
         self._broadcaster = Broadcaster(lambda: self._settings.values(), self._heed)
-        access = Access(config.token, config.is_loopback)
+        access = Access(config.token, config.is_loopback, config.token_place)
         self._door = Door(listening, access, self._answer, self._broadcaster.port)
 
     def publish(self, record: Recordable) -> None:
@@ -92,10 +97,21 @@ class LiveSession:
         while not self._switches.empty():
             self._switch(is_on=self._switches.get_nowait())
 
+    def begin(self, at_host_ns: int) -> None:
+        """Say when it began, as far as that is not known yet."""
+        if self._began_host_ns is None:
+            self._began_host_ns = at_host_ns
+
+    def end(self, sentence: str = "") -> None:
+        """Say to all who look that nothing more comes; the page stays until :meth:`close`."""
+        if not self._ended:
+            self._ended = sentence or ENDINGS[self._subject.kind]
+            self._broadcaster.publish_end(self._ended)
+
     def close(self) -> None:
-        """Close the door, and finish the recording."""
-        self._door.close()
+        """End the connections, close the door, and finish the recording."""
         self._broadcaster.close()
+        self._door.close()
         self._tape.end()
 
     # ------------------------------------------------------------------------------- in the publishing thread
@@ -138,11 +154,7 @@ class LiveSession:
 
     def _read(self, path: str) -> HttpAnswer:
         if path == "/about.json":
-            can_set = self._subject.ask is not None
-            about = facts(self._subject.airframe, self._subject.title)
-            said = [[notice.severity, notice.text, notice.at_host_ns] for notice in list(self._events)]
-            now = {"can_set": can_set, "parameters": parameter_table(self._settings.values()), "events": said}
-            return as_json(about | now)
+            return as_json(facts(self._subject.airframe, self._subject.title) | self._state())
         if path == "/recordings.json":
             return as_json(self._recordings())
         if path.startswith("/recordings/"):
@@ -153,6 +165,18 @@ class LiveSession:
             layout = (shipped("live") / "spanwise.json").read_bytes()
             return HttpAnswer(HTTPStatus.OK, layout, "application/json")
         return _page_file("index.html" if path == "/" else path.removeprefix("/"))
+
+    def _state(self) -> dict[str, Any]:
+        """State of the view, which changes between two looks at the facts or differs from view to view."""
+        return {
+            "kind": str(self._subject.kind),
+            "has_images": self._subject.has_images,
+            "began_host_ns": self._began_host_ns,
+            "ended": self._ended,
+            "can_set": self._subject.ask is not None,
+            "parameters": parameter_table(self._settings.values()),
+            "events": [[notice.severity, notice.text, notice.at_host_ns] for notice in list(self._events)],
+        }
 
     def _recordings(self) -> dict[str, Any]:
         return {

@@ -96,7 +96,7 @@ class Service(Supervisor):
         interest = Interest()
         channels = [recorder_channel() for _ in range(2)]
         ends = [end for _, end in channels]
-        arguments = (config, _stored(config), self._listening, ends, interest, say)
+        arguments = (config, _stored(config), self._listening, ends, interest, say, MonotonicClock().now_ns())
         self.add("live", _live_process, *arguments, optional=True)
         inertial_eye, vision_eye = (FeedEnd(end, interest) for end, _ in channels)
         return inertial_eye, vision_eye
@@ -273,6 +273,7 @@ def _live_process(
     ends: list[socket.socket],
     interest: Interest,
     say: Sender,
+    began_ns: int,
     stop: Event,
 ) -> None:
     _ignore_interrupt()
@@ -288,6 +289,8 @@ def _live_process(
         ask=lambda name, value: say.send(ParameterRequest(name, value)),
         heed=heed,
         is_recording=config.recording is not None,
+        has_images=config.cameras is not None,
+        began_host_ns=began_ns,
     )
     serve_live(config.live, subject, listening, ends, stop)
 

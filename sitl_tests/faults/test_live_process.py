@@ -18,7 +18,7 @@ from companion.params.settings import Settings
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from companion.sim.flight.flight import build_flight
-from sitl_tests.loop.live_client import LiveClient, ask
+from sitl_tests.loop.live_client import LiveClient, ask, last_words
 from sitl_tests.loop.simulated_service import SimulatedService
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
@@ -83,6 +83,7 @@ def test_the_page_sets_a_parameter_and_the_live_process_may_die(service: Service
     assert worker.process is not None
     worker.process.kill()
     worker.process.join(30.0)
+    assert last_words(client) == [], "its death is not the service's end"
     assert ["process live ended" in sentence for sentence in service.tend()] == [True]
     assert service.failed() == []
     assert retried(lambda: parameter(port, "TRG_RATE")) == 7.5, "read anew from where it is kept"
@@ -92,6 +93,19 @@ def test_the_page_sets_a_parameter_and_the_live_process_may_die(service: Service
     assert isinstance(again.hear(), tuple), "the producers send to the new process"
     for each in (client, again):
         each.close()
+
+
+def test_the_end_of_the_service_is_said_to_all_who_look(service: Service, port: int) -> None:
+    client = retried(lambda: LiveClient(port))
+    assert isinstance(client, LiveClient)
+    client.subscribe("/status/service")
+    while not isinstance(client.hear(), tuple):
+        pass
+    about = json.loads(ask(port, "GET", "/about.json")[2])
+    assert (about["kind"], about["has_images"]) == ("live", False), "it runs without cameras"
+    assert 0 < about["began_host_ns"] < time.monotonic_ns()
+    service.stop()
+    assert last_words(client) == ["the service was stopped"]
 
 
 def test_a_wish_of_the_page_passes_the_same_checks_as_a_ground_station_s() -> None:

@@ -59,6 +59,7 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         size = {"width": width_px, "height": height_px, "deviceScaleFactor": 1, "mobile": width_px < 600}
         self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.call("Emulation.setScrollbarsHidden", hidden=True)  # a picture of all of a page is as wide as the page
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 

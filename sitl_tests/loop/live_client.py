@@ -76,6 +76,11 @@ class LiveClient:
     def close(self) -> None:
         self._socket.close()
 
+    def break_off(self) -> None:
+        """Close as a browser that is ended does: without a word of the protocol, with bytes still unread."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._socket.close()
+
     def _take(self, count: int) -> bytes:
         while len(self._buffer) < count:
             self._more()
@@ -87,6 +92,18 @@ class LiveClient:
         if not piece:
             raise ConnectionError("the live view hung up")
         self._buffer += piece
+
+
+def last_words(client: LiveClient) -> list[str]:
+    """Sentences of the status messages that say that it has ended, until the server hangs up."""
+    said = []
+    try:
+        while True:
+            message = client.hear()
+            if isinstance(message, dict) and message["op"] == "status" and message["id"] == "ended":
+                said.append(str(message["message"]))
+    except ConnectionError:
+        return said
 
 
 def ask(port: int, method: str, path: str, content: Any = None, **headers: str) -> tuple[int, dict[str, str], bytes]:

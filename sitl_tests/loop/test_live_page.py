@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("foxglove", reason="the extra live is not installed")
 
+from companion.live.about import ViewKind
 from companion.live.config import LiveConfig
 from companion.live.door import listen
 from companion.live.session import LiveSession, Subject
@@ -30,6 +34,7 @@ from companion.records import (
     MatchSet,
     ModeEstimate,
     ModeState,
+    NoRange,
     Notice,
     ObstacleSectors,
     ParameterChange,
@@ -88,22 +93,40 @@ class Flight:
     session: LiveSession
     url: str
     asked: list[tuple[str, float]]
+    over: threading.Event
+
+    @property
+    def port(self) -> int:
+        return int(self.url.split(":")[-1].strip("/"))
+
+    def stop(self) -> None:
+        """Feed it no more, and say its end."""
+        self.over.set()
+        self.session.end()
 
 
-@pytest.fixture
-def flight(tmp_path: Path) -> Iterator[Flight]:
-    config = LiveConfig("127.0.0.1", 0, None, tmp_path)
+Records = Callable[[int], list[Record | Frame]]
+REPLAY: dict[str, Any] = {
+    "title": "flight.mcap", "ask": None, "kind": ViewKind.REPLAY, "is_recording": True, "has_images": False,
+    "began_host_ns": 990 * S,
+}  # fmt: skip
+
+
+@contextmanager
+def flying(folder: Path, port: int = 0, records: Records = records_at, **changes: Any) -> Iterator[Flight]:
+    """A flight that the live view shows; ``changes`` are made to what it is told about it."""
+    config = LiveConfig("127.0.0.1", port, None, folder)
     listening = listen(config)
     asked: list[tuple[str, float]] = []
     subject = Subject(load_airframe("nadir-2m"), Settings(), "test", ask=lambda *wish: asked.append(wish))
-    session = LiveSession(config, subject, listening)
+    session = LiveSession(config, dataclasses.replace(subject, **changes), listening)
     over = threading.Event()
 
     def fly() -> None:
         step = changes = 0
         session.publish(Notice(4, "node_left clock restarted; waiting for sync", 1_000 * S))
         while not over.wait(0.1):
-            for record in records_at(step):
+            for record in records(step):
                 session.publish(record)
             for name, value in asked[changes:]:
                 session.publish(ParameterChange(name, value, 1_000 * S + step * STEP_NS))
@@ -113,10 +136,19 @@ def flight(tmp_path: Path) -> Iterator[Flight]:
 
     thread = threading.Thread(target=fly)
     thread.start()
-    yield Flight(session, f"http://127.0.0.1:{listening.getsockname()[1]}/", asked)
-    over.set()
-    thread.join()
-    session.close()
+    try:
+        yield Flight(session, f"http://127.0.0.1:{listening.getsockname()[1]}/", asked, over)
+    finally:
+        over.set()
+        thread.join()
+        session.close()
+        listening.close()
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Flight]:
+    with flying(tmp_path) as flown:
+        yield flown
 
 
 _LABELS_FIT = """[...document.querySelectorAll('#wing text.strong')].every(label => {
@@ -144,6 +176,7 @@ def test_the_page_shows_the_flight(flight: Flight, screen: str, tmp_path: Path) 
         assert "node_left clock restarted" in text(browser, "#events")
         assert "7 checksum wrong" in text(browser, "#refusals")
         assert "nearest 33.5 m" in text(browser, "#sectors-word")
+        assert text(browser, "#link") == "live"
         browser.until("document.querySelector('#clocks').textContent.includes('0.40 ms')")
         browser.until("document.querySelectorAll('#phase g circle').length > 5")
         browser.until("document.querySelector('#range-chart path[stroke-width=\"2\"]').getAttribute('d').length > 20")
@@ -192,3 +225,121 @@ def test_the_page_says_that_nothing_comes_any_more(flight: Flight) -> None:
         flight.session.close()
         browser.until("document.getElementById('health').textContent === 'no data'")
         assert "does not answer" in text(browser, "#reason")
+
+
+ENDED = "document.getElementById('health').textContent === 'ended'"
+
+
+def tops(browser: Browser, *places: str) -> list[float]:
+    """Heights at which some cards stand."""
+    return [float(browser.value(f"document.querySelector('{each}').getBoundingClientRect().top")) for each in places]
+
+
+def without(*kinds: type) -> Records:
+    return lambda step: [record for record in records_at(step) if not isinstance(record, kinds)]
+
+
+@pytest.mark.parametrize("screen", SIZES)
+def test_a_replay_says_what_it_is(tmp_path: Path, screen: str) -> None:
+    with flying(tmp_path, records=without(Frame), **REPLAY) as replay, Browser(*SIZES[screen]) as browser:
+        browser.open(replay.url)
+        browser.until("document.getElementById('link').textContent === 'replay'")
+        assert text(browser, "#image-word") == "this recording has no images"
+        assert browser.value("document.querySelector('#images .pair').getBoundingClientRect().height") == 0
+        assert "cannot be set" in text(browser, "#parameters-word")
+        browser.until("document.getElementById('recording').textContent.startsWith('flight.mcap is shown')")
+        browser.until("document.getElementById('time').textContent.startsWith('0:1')")
+        assert text(browser, "#since") == "into the recording"
+        assert browser.complaints == []
+
+
+def test_a_demo_says_what_it_is(tmp_path: Path) -> None:
+    with (
+        flying(tmp_path, ask=None, kind=ViewKind.DEMO, is_recording=True) as demo,
+        Browser(*SIZES["laptop"]) as browser,
+    ):
+        browser.open(demo.url)
+        browser.until("document.getElementById('link').textContent === 'demo'")
+        assert text(browser, "#parameters-word") == "the demo's parameters cannot be set"
+
+
+@pytest.mark.parametrize("screen", SIZES)
+def test_the_end_of_a_recording_is_no_failure(tmp_path: Path, screen: str) -> None:
+    with flying(tmp_path, **REPLAY) as replay, Browser(*SIZES[screen]) as browser:
+        browser.open(replay.url)
+        browser.until("document.getElementById('range-now').textContent.startsWith('60.25')")
+        browser.until("document.getElementById('health').textContent === 'active'")
+        replay.over.set()
+        time.sleep(0.3)
+        for _ in range(3):  # as a flight that stops: what stands behind the last range is no range
+            replay.session.publish(NoRange(1_001 * S, 25, Reject.STALE))
+        browser.until("document.getElementById('range-word').textContent.startsWith('none')")
+        replay.session.end()
+        browser.until(ENDED)
+        replay.session.close()
+        browser.until("document.getElementById('range-chart').textContent.endsWith('end')")
+        time.sleep(3.0)  # until the page has tried to connect again
+        assert text(browser, "#reason") == "the recording has ended; these are its last values"
+        assert text(browser, "#link") == "ended"
+        assert text(browser, "#range-now").startswith("60.25")
+        assert text(browser, "#range-word").startswith("last range: trusted")
+        assert not browser.value("document.getElementById('range-now').classList.contains('withheld')")
+        assert "now" not in text(browser, "main")
+        at_end = text(browser, "#time")
+        browser.screenshot(tmp_path / f"ended-{screen}.png")
+        time.sleep(1.5)
+        assert text(browser, "#time") == at_end
+        colors = [f"getComputedStyle({place}).backgroundColor" for place in
+                  ("document.getElementById('link-dot')", "document.getElementById('health')")]  # fmt: skip
+        assert browser.value(f"{colors[0]} === {colors[1]}"), "both grey"
+        ink = "getComputedStyle({}).color"
+        said = "document.querySelector('#events li.warning span')"
+        assert browser.value(f"{ink.format(said)} === {ink.format('document.body')}"), "a warning of then is no alarm"
+
+
+def test_who_opens_the_page_after_the_end_is_told_so(tmp_path: Path) -> None:
+    with flying(tmp_path, **REPLAY) as replay, Browser(*SIZES["phone"]) as browser:
+        replay.stop()
+        browser.open(replay.url)
+        browser.until("document.getElementById('health')?.textContent === 'ended'")
+        assert text(browser, "#reason") == "the recording has ended"
+
+
+def test_the_page_goes_over_to_the_service_that_follows(tmp_path: Path) -> None:
+    with Browser(*SIZES["phone"]) as browser:
+        with flying(tmp_path) as first:
+            browser.open(first.url)
+            browser.until("document.getElementById('health')?.textContent === 'active'")
+            first.stop()
+            browser.until(ENDED)
+            assert text(browser, "#reason") == "the service was stopped; these are its last values"
+        with flying(tmp_path, first.port, title="second"):
+            browser.until("document.getElementById('who').textContent === 'nadir-2m, second'")
+            browser.until("document.getElementById('health').textContent === 'active'")
+
+
+def test_on_a_phone_what_is_wrong_stands_right_below_the_range(tmp_path: Path) -> None:
+    with flying(tmp_path, records=without(ObstacleSectors)) as flown, Browser(*SIZES["phone"]) as browser:
+        browser.open(flown.url)
+        browser.until("document.getElementById('events')?.textContent.includes('clock restarted')")
+        order = tops(browser, ".range", ".events", ".health", ".wing", ".recordings", ".parameters")
+        assert order == sorted(order)
+        assert order[1] < SIZES["phone"][1], "on the first screen"
+        assert browser.value("document.querySelector('.sectors').getBoundingClientRect().height") == 0
+        rows = "[...document.querySelectorAll('.row')]"
+        assert browser.value(f"{rows}.every((row) => row.querySelector('p').clientWidth > 0.95 * row.clientWidth)")
+
+
+def test_a_range_that_alone_is_trusted_is_drawn(tmp_path: Path) -> None:
+    def lonely(step: int) -> list[Record | Frame]:
+        return [
+            dataclasses.replace(record, trusted=step % 40 == 5) if isinstance(record, CorrectedRange) else record
+            for record in records_at(step)
+        ]
+
+    with flying(tmp_path, records=lonely) as flown, Browser(*SIZES["laptop"]) as browser:
+        browser.open(flown.url)
+        browser.until("document.querySelector('#range-chart .lone')?.getAttribute('d').match(/M/g)?.length > 1")
+        labels = "[...document.querySelectorAll('#range-chart text')].map((label) => label.textContent)"
+        assert browser.value(f"{labels}.includes('50 m')")
+        browser.screenshot(tmp_path / "lone.png")

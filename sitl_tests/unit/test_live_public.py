@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import json
 from html.parser import HTMLParser
 
@@ -55,7 +56,15 @@ def test_the_page_asks_for_the_token_and_loads_nothing() -> None:
     assert response is not None
     tags = Page(response.body.decode()).tags
     assert [attributes["name"] for tag, attributes in tags if tag == "input"] == ["token"]
+    assert [attributes["type"] for tag, attributes in tags if tag == "input"] == ["text"], "shown as it is typed"
     assert not [attributes for _, attributes in tags if {"src", "href"} & attributes.keys()]
+
+
+@pytest.mark.parametrize("place", ["~/.local/state/spanwise/live-token", "/state/<b>&/live-token"])
+def test_the_page_says_where_the_token_is(place: str) -> None:
+    response = public_answer(ASKED, place, is_loopback=False)
+    assert response is not None
+    assert f"<code>{html.escape(place)}</code>" in response.body.decode()
 
 
 def test_a_wrong_token_is_told() -> None:

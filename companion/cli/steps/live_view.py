@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from companion.cli.steps.options import state_file
+from companion.live.about import INTERRUPTIONS
 from companion.live.broadcaster import require_live
 from companion.live.config import DEFAULT_ADDRESS, LiveConfig, live_config
 from companion.live.door import listen
@@ -31,8 +32,16 @@ def read_live(options: argparse.Namespace, recording: Path | None) -> LiveConfig
     require_live()
     folder = state_file("recordings") if recording is None else recording.resolve().parent
     config = live_config(options.live, folder, state_file("live-token"))
-    print(f"live view: {config.url}", file=sys.stderr, flush=True)
+    say_where(config)
     return config
+
+
+def say_where(config: LiveConfig) -> None:
+    """Print every address that opens the page, and where the token is kept if they have it."""
+    print(f"live view: {f'{chr(10)}           '.join(config.urls)}", file=sys.stderr)
+    if not config.is_loopback:
+        print(f"           (the token is in {config.token_place})", file=sys.stderr)
+    sys.stderr.flush()
 
 
 @contextmanager
@@ -45,5 +54,7 @@ def live_session(config: LiveConfig | None, subject: Subject) -> Iterator[LiveSe
         session = LiveSession(config, subject, listening)
         try:
             yield session
+            session.end()
         finally:
+            session.end(INTERRUPTIONS[subject.kind])
             session.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 
@@ -9,6 +10,7 @@ from companion.live.feed import ImagePace
 from companion.live.session import LiveSession
 from companion.records import Frame, FramePair, ImuBatch, Record, Tick
 
+_TURN_S = 0.1
 _LONGEST_PAUSE_S = 2.0  # a gap of the recording is not waited for
 
 
@@ -32,6 +34,14 @@ class PacedView:
             self._wait_until(at_ns)
             self._session.tend()
 
+    def stay(self) -> None:
+        """Keep the page up with its last values, until Ctrl-C."""
+        self._session.end()
+        with contextlib.suppress(KeyboardInterrupt):
+            while True:
+                self._session.tend()
+                time.sleep(_TURN_S)
+
     def with_images(self, records: Iterator[Record]) -> Iterator[Record]:
         """Show the images among these records, which no replay uses, and give all of them."""
         for record in records:
@@ -45,6 +55,7 @@ class PacedView:
         now_s = time.monotonic()
         if self._began_s is None:
             self._began_s, self._first_ns = now_s, at_ns
+            self._session.begin(at_ns)
         early_s = self._began_s + 1e-9 * (at_ns - self._first_ns) - now_s
         if early_s > _LONGEST_PAUSE_S:
             self._began_s -= early_s - _LONGEST_PAUSE_S

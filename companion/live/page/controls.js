@@ -2,6 +2,10 @@
 import { address } from "./protocol.js";
 
 const LIST_MS = 3000, REFRESH_MS = 1500;
+const UNSETTABLE = {
+  replay: "as this replay uses them; they cannot be set here", demo: "the demo's parameters cannot be set",
+  live: "nothing can be set here",
+};
 const element = (name, attributes = {}, ...children) => {
   const made = Object.assign(document.createElement(name), attributes);
   made.append(...children);
@@ -31,7 +35,7 @@ export class Parameters {
     const place = document.getElementById("parameters");
     document.getElementById("parameters-word").textContent = about.can_set
       ? "in force at once, kept over a restart; MAVLink's are the same"
-      : "as they were; nothing can be set here";
+      : UNSETTABLE[about.kind];
     for (const row of about.parameters) place.append(this.#row(row, about.can_set));
     document.getElementById("find").oninput = ({ target }) => {
       const word = target.value.toLowerCase();
@@ -47,11 +51,13 @@ export class Parameters {
     entry.line.classList.toggle("changed", value !== entry.row.default);
   }
 
-  // What is in force now: changes made while this page was not connected are not told again.
+  // What is in force now: changes made while this page was not connected are not told again. Gives all the facts.
   async refresh() {
     const answer = await fetch(address("about.json")).catch(() => null);
-    if (!answer?.ok) return;
-    for (const { name, value } of (await answer.json()).parameters) this.set(name, value);
+    if (!answer?.ok) return null;
+    const about = await answer.json();
+    for (const { name, value } of about.parameters) this.set(name, value);
+    return about;
   }
 
   #row(row, canSet) {
@@ -85,7 +91,8 @@ export class Recordings {
   #button = document.getElementById("record");
   #isOn = false;
 
-  constructor() {
+  constructor({ kind, title }) {
+    this.always = kind === "replay" ? `${title} is shown on this page; recordings of its folder:` : "recorded since the start";
     this.#button.onclick = async () => {
       try {
         await post("record", { on: !this.#isOn });
@@ -107,7 +114,7 @@ export class Recordings {
     this.#button.hidden = always;
     this.#button.classList.toggle("on", on);
     this.#button.textContent = on ? "Stop recording" : "Record";
-    const words = failure || (always ? "recorded since the start" : on ? "recording" : "");
+    const words = failure || (always ? this.always : on ? "recording" : "");
     document.getElementById("recording").textContent = words;
     const lines = files.map(({ name, bytes }) => element("li", {},
       element("a", { href: address(`recordings/${encodeURIComponent(name)}`), download: name }, name),

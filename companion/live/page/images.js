@@ -5,6 +5,9 @@ import { readMatches } from "./protocol.js";
 const MOST_SHOWN = 150, MATCH_SETS_KEPT = 40, PAIR_NS = 20e6;
 const TOPICS = ["/camera/left", "/camera/right", "/vision/matches"];
 
+// What stands in place of images that cannot come.
+export const NO_IMAGES = { replay: "this recording has no images", demo: "this demo has no images", live: "this service runs without cameras" };
+
 export class ImageView {
   #matches = [];
   #frames = [null, null];
@@ -20,6 +23,11 @@ export class ImageView {
     const follow = () => connection.follow(TOPICS, isSeen && document.visibilityState === "visible");
     new IntersectionObserver(([entry]) => { isSeen = entry.isIntersecting; follow(); }).observe(document.getElementById("images"));
     document.addEventListener("visibilitychange", follow);
+  }
+
+  end() {
+    const word = document.getElementById("image-word");
+    word.textContent = this.#frames.some(Boolean) ? "the last images that came" : "no image came";
   }
 
   #frame(frame) {

@@ -1,6 +1,7 @@
 // The Foxglove websocket protocol, as far as a page needs it: topics are advertised, subscribed, and come as messages.
 const AGAIN_MS = 2000;
 const MESSAGE = 1;
+const ENDED = "ended";
 const text = new TextDecoder();
 
 export const address = (path) => `${path}${location.search}`;
@@ -11,8 +12,9 @@ export class Connection {
   #handlers = new Map(); // topic -> handler of a message
   #wanted = new Set();
 
-  constructor(onState) {
-    this.onState = onState;
+  // `onEnd` gets the sentence by which the service says that nothing more comes.
+  constructor(onState, onEnd) {
+    Object.assign(this, { onState, onEnd });
     this.#open();
   }
 
@@ -49,6 +51,7 @@ export class Connection {
   }
 
   #hear(message) {
+    if (message.op === "status" && message.id === ENDED) this.onEnd(message.message);
     if (message.op !== "advertise") return;
     for (const channel of message.channels) this.#ids.set(channel.topic, channel);
     const wanted = message.channels.filter(({ topic }) => this.#wanted.has(topic));

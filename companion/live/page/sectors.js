@@ -27,10 +27,10 @@ export class SectorView {
         make("path", { d: `M${near.join("L")}L${far.join("L")}Z`, fill: "var(--vermillion)", "fill-opacity": 0.75 }, wedges);
       }
     }
+    document.getElementById("obstacles").hidden = false;
     this.wedges.replaceChildren(wedges);
     this.labels.forEach((label, i) => { label.textContent = `${((max_m * (i + 1)) / 2).toFixed(0)} m`; });
     document.getElementById("sectors-word").textContent = Number.isFinite(nearest_m) ? `nearest ${nearest_m.toFixed(1)} m` : "all clear";
-    document.getElementById("sectors-legend").textContent = "5 degrees each; red: behind the obstacle, green: looked at and found empty";
   }
 }
 

@@ -5,6 +5,7 @@ const LOST_S = 0.6; // further off: the service was paused, or its time is simul
 
 export class Clock {
   #ahead_s = null; // service's time less this page's
+  #stopped_s = null;
 
   hear(host_ns) {
     const ahead_s = host_ns / SECOND_NS - performance.now() / 1e3;
@@ -12,7 +13,13 @@ export class Clock {
     this.#ahead_s = Math.abs(off_s) > LOST_S ? ahead_s : this.#ahead_s + (off_s > 0 ? off_s : 0.01 * off_s);
   }
 
+  // From here on it is the last moment.
+  stop() {
+    this.#stopped_s ??= this.now_s();
+  }
+
   now_s() {
+    if (this.#stopped_s !== null) return this.#stopped_s;
     return this.#ahead_s === null ? 0 : this.#ahead_s + performance.now() / 1e3;
   }
 }

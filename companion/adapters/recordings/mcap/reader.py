@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk
 
 from companion.adapters.recordings.mcap import images, ros1_codec
-from companion.adapters.recordings.mcap.channels import IMAGE_SCHEMA, KINDS, Recordable
+from companion.adapters.recordings.mcap.channels import CAMERA_TOPICS, IMAGE_SCHEMA, KINDS, Recordable
 from companion.adapters.recordings.mcap.codec import loads
 from companion.adapters.recordings.mcap.container import (
     DAMAGE,
@@ -110,6 +110,11 @@ class McapRecording:
         return not any(segment.opcode == Opcode.CHUNK for segment in self._segments)
 
     @property
+    def has_images(self) -> bool:
+        """Whether images may be in it: a finished file declares its channels at its end, a cut one need not."""
+        return self.cut or any(topic in CAMERA_TOPICS for topic in self._declared_topics())
+
+    @property
     def missing_s(self) -> float | None:
         """Recorded time that is lost, where the file tells; complete once ``records`` is exhausted."""
         lost_s = sum(self._damaged_s.values())
@@ -145,6 +150,15 @@ class McapRecording:
                 yield message.sequence, record
             elif schema.name not in KINDS and schema.name != IMAGE_SCHEMA:
                 self._notes.add(f"{self.path.name}: messages of '{schema.name}' are not known here and left out")
+
+    def _declared_topics(self) -> list[str]:
+        """Topics of the channels that are declared outside the chunks."""
+        topics = []
+        with self.path.open("rb") as file:
+            for segment in [record for record in self._segments if record.opcode == Opcode.CHANNEL]:
+                with contextlib.suppress(*DAMAGE):
+                    topics.append(str(parse(file, segment).topic))
+        return topics
 
     def _messages(self) -> Iterator[tuple[mcap.Schema, mcap.Message]]:
         schemas: dict[int, mcap.Schema] = {}
