@@ -240,7 +240,9 @@ def _wing(counters: OutputCounters) -> dict[str, Any]:
 def _text(result: dict[str, Any]) -> str:
     lines = [f"{result['recording']}  (airframe {result['airframe']}, clock {result['clock']})"]
     lines += [f"  note: {sentence}" for sentence in result["notices"]]
-    lines += [f"  {name:5s}  {entry['text']}" for name, entry in result["stations"].items()]
+    foreign = result["clock"] != str(ClockName.HOST)  # a wing of ours has no steady tone, and one would be odd
+    tones = {name: entry for name, entry in result["stations"].items() if foreign or entry["tone"] is not None}
+    lines += [f"  {name:5s}  {entry['text']}" for name, entry in tones.items()]
     lines.append("  wing   " + _wing_text(result["wing"]))
     ranges = result["ranges"]
     if ranges["corrected"]:
