@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import base64
 import io
+from dataclasses import replace
 from typing import Any
 
 from companion.reporting.blocks import Picture
 
 _DPI = 130  # 1430 px for a figure 11 inches wide: sharp on a page of 1070 px; a convention
+_READABLE_DPI = 80  # of the screen: lettering of 8 points is 9 px high (choice)
 
 
 def embed(figure: Any, text: str, caption: str = "") -> Picture:
     """Matplotlib figure as a PNG inside the page; ``text`` is its alternative text."""
-    return embed_image(png(figure), "png", text, caption)
+    return replace(
+        embed_image(png(figure), "png", text, caption), readable_px=round(_READABLE_DPI * figure.get_figwidth())
+    )
 
 
 def png(figure: Any) -> bytes:
