@@ -279,3 +279,14 @@ def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_
     text = (tmp_path / "short.html").read_text(encoding="utf-8")
     assert "No spectra: they need 16 s" in text
     assert text.count("data:image/png;base64,") == 5
+
+
+def test_a_recording_that_was_cut_off_says_so_beneath_its_verdict(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    for record in flight():
+        writer.write(record)
+    writer.close()
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert main(["report", str(path)]) in (0, 3)
+    assert "of flight, cut off while recording" in (tmp_path / "cut.html").read_text(encoding="utf-8")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.evaluation.flight_log import SPECTRUM_SEGMENT_S, FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
@@ -89,6 +90,7 @@ def render(recording: Recording, log: FlightLog) -> str:
     """The page as HTML, with every picture inside."""
     judged = verdict(log)
     what = f"{recording.path.name}, airframe {recording.airframe.name}, {log.info.duration_s:.0f} s of flight"
+    what += ", cut off while recording" if isinstance(recording, McapRecording) and recording.cut else ""
     body = list(_body(recording, log, judged))
     return page.render(Page(f"Flight: {judged.word}", judged.headline, body, subject=what, grade=judged.grade))
 
