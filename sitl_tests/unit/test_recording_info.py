@@ -86,6 +86,20 @@ def test_what_is_no_recording_is_one_sentence(tmp_path: Path, capsys: pytest.Cap
     assert "no such file" in capsys.readouterr().err
 
 
+def test_a_file_or_folder_that_cannot_be_read_is_called_what_it_is(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "bare").mkdir()
+    for path, sentence in (
+        (tmp_path / "empty.mcap", "is empty (0 bytes)"),
+        (recorded.parent, "a folder with recordings; give one of them: empty.mcap, flight.mcap"),
+        (tmp_path / "bare", "no accel.csv in this folder, and no recording"),
+    ):
+        assert main(["info", str(path)]) == 1
+        assert sentence in capsys.readouterr().err
+
+
 def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
     stream = StreamInfo()
     for count in (0, 3):
