@@ -31,7 +31,7 @@ _SUBJECTS = {
     "tune": "parameter values proposed from each flight (spanwise fleet tune)",
 }
 _HEADS = {
-    "duration_s": "length, s",
+    "duration_s": "length,\N{NO-BREAK SPACE}s",
     "published": "ranges published",
     "sigma_ratio": "sigma, % of range",
     "sigma_ratio_then": "sigma then, % of range",
@@ -133,7 +133,7 @@ def _recurring(rows: Rows) -> list[tuple[str, int]]:
 def _head(name: str) -> str:
     """Column's name in words, with its unit."""
     stem, _, unit = name.rpartition("_")
-    words = f"{stem}, {_UNITS[unit]}" if stem and unit in _UNITS else name
+    words = f"{stem},\N{NO-BREAK SPACE}{_UNITS[unit]}" if stem and unit in _UNITS else name
     return _HEADS.get(name, words.replace("_", " "))
 
 
