@@ -65,7 +65,7 @@ def ranges(log: FlightLog, text: str) -> Any:
 
 
 def modes(log: FlightLog, text: str) -> Any:
-    """Frequency, damping and rms deflection of the first modes over time, each with its sigma as a band."""
+    """Frequency, damping and rms vibration of the first modes over time, each with its sigma as a band."""
     figure = _figure(6.2)
     headline(figure, text)
     frequency, damping, deflection = figure.subplots(3, 1, sharex=True)
