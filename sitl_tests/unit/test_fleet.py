@@ -151,6 +151,7 @@ def test_the_page_names_cut_and_failed_files_among_all_and_no_normal_verdict() -
     assert "4 of 5 files give a result (1 of them cut off), 1 airframe" in text.lower()
     assert "cut off while recording, and judged by what is there: 3.mcap" in text
     assert "verdict: usable" not in text
+    assert "withheld now and then is normal" in text
     assert '<td>withheld: sigma too large</td><td class="n">3 of 4</td>' in text
     assert "<td>bad.mcap</td><td>is empty (0 bytes)</td>" in text, "the name of the file is not said twice"
     every_file = text.partition("Every file")[2]
@@ -197,7 +198,9 @@ def test_a_diagnosis_becomes_a_row_and_what_it_names_twice_a_finding() -> None:
     assert rows[0]["effects"] == "accel-scale"
     assert rows[2]["held_out_gain_nat"] is None
     assert findings(rows) == ["a: accel-scale named in 2 of 3 flights, median 0.031 (0.031 to 0.031)"]
-    assert "effect: accel-scale" in render("diagnose", rows)
+    page = render("diagnose", rows)
+    assert "effect: accel-scale" in page
+    assert "withheld now and then" not in page
 
 
 def test_the_lowest_mode_of_each_family_is_the_row_of_an_identification() -> None:

@@ -20,7 +20,9 @@ _MOST_COLUMNS = 8  # that a page is wide enough for
 _MOST_RECURRING = 12  # most frequent first
 _MOST_NAMES = 16  # beneath a picture of 10 inches
 _MOST_LETTERS = 18  # of a file's name there: the end of it, which tells flights apart
-_COUNTED = ("withheld: ", "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them
+_WITHHELD = "withheld: "
+_NOW_AND_THEN = "that a range is withheld now and then is normal: see the report of each flight"
+_COUNTED = (_WITHHELD, "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them
 _PLACES = ("file", "page", "code", "cut", "failed")
 _SHARED = ("verdict", "reason", "result")  # texts that several files may have in common
 _NORMAL = ("usable", "adequate")  # verdicts that are no news, however often they come
@@ -71,7 +73,8 @@ def _body(rows: Rows, good: Rows) -> Iterator[Block]:
     if recurring:
         yield Heading("In more than one file")
         counted = [(text, f"{count} of {len(good)}") for text, count in recurring]
-        yield Table(("what", "files"), counted, note="that a range is withheld now and then is normal: see the report")
+        withheld = any(text.startswith(_WITHHELD) for text, _ in recurring)
+        yield Table(("what", "files"), counted, note=_NOW_AND_THEN if withheld else "")
     yield Heading("Every file")
     columns = [name for name in dict.fromkeys(name for row in good for name in row) if name not in _PLACES]
     shown = [name for name in columns if not name.startswith(_COUNTED)][:_MOST_COLUMNS]
