@@ -163,6 +163,13 @@ def test_the_page_names_cut_and_failed_files_among_all_and_no_normal_verdict() -
     assert 'class="verdict good"' in render("report", rows[1:4])
 
 
+def test_what_comes_equally_often_is_listed_in_the_same_order_in_every_run() -> None:
+    names = [f"withheld: reason {letter}" for letter in "hgfedcba"]
+    text = render("report", [flight(number, **dict.fromkeys(names, 1)) for number in range(2)])
+    places = [text.index(name) for name in sorted(names)]
+    assert places == sorted(places)
+
+
 def test_a_long_name_keeps_its_end_beneath_the_picture() -> None:
     assert short_name("/log/flight-2026-11-26T10-30-05.mcap") == "…26-11-26T10-30-05"
     assert short_name("/log/7.mcap") == "7"

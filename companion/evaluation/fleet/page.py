@@ -129,7 +129,7 @@ def _recurring(rows: Rows) -> list[tuple[str, int]]:
     for row in rows:
         words = {name for name, value in row.items() if name.startswith(_COUNTED) and value is not None}
         words |= {f"{name}: {row[name]}" for name in _SHARED if row.get(name) and row[name] not in _NORMAL}
-        counts.update(words)
+        counts.update(sorted(words))  # equal counts come in the same order in every run
     return [(text, count) for text, count in counts.most_common(_MOST_RECURRING) if count > 1]
 
 
