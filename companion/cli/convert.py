@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns, write_tlog
@@ -10,16 +11,37 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
 from companion.adapters.recordings.tables.record_tables import RecordTables
+from companion.adapters.recordings.tables.tables_readme import README, write_readme
 from companion.cli.steps.options import add_recording, check_output, make_folder, open_given
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.records import ImuBatch, RawChunk
+
+_FILES = (
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".json",
+    ".parquet",
+    ".mat",
+    ".xlsx",
+    ".zip",
+    ".mcap",
+    ".bag",
+    ".bin",
+    ".ulg",
+    ".html",
+)
+"""Endings of files that a recording does not become."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_recording(parser)
     parser.add_argument(
-        "to", type=Path, metavar="FILE.tlog|FOLDER", help="a telemetry log, or a new folder of CSV tables"
+        "to",
+        type=Path,
+        metavar="FILE.tlog|FOLDER",
+        help="a telemetry log, or a new folder of CSV tables, whose README.txt says what they hold, with units",
     )
 
 
@@ -27,6 +49,11 @@ def execute(options: argparse.Namespace) -> int:
     """Convert and say what was written; 3 where there is nothing to write."""
     if options.to.exists():
         raise ConfigError(f"{options.to}: exists already; name a new file or folder")
+    if options.to.suffix.lower() in _FILES:
+        raise ConfigError(
+            f"{options.to}: is the name of a file, and the tables are many; name a folder, such as "
+            f"{options.to.with_suffix('')}, or a telemetry log (.tlog)"
+        )
     recording = open_given(options)
     written = _tlog(recording, options.to) if options.to.suffix.lower() == ".tlog" else _tables(recording, options.to)
     for notice in recording.notices:
@@ -57,12 +84,21 @@ def _tables(recording: Recording, folder: Path) -> bool:
                 batches.append(record)
             tables.add(record)
     written = [f"{name}: {count} rows" for name, count in sorted(tables.rows.items())]
+    samples = dict(_samples(folder, batches))
+    written += [f"{name}/: {text}" for name, text in samples.items()]
+    if written:
+        write_readme(folder, recording, tables, samples)
+        written.append(f"{README}: what they hold, every column with its unit")
+    print(f"{folder}:")
+    print("\n".join(f"  {line}" for line in written) if written else "  nothing: no records")
+    return bool(written)
+
+
+def _samples(folder: Path, batches: list[ImuBatch]) -> Iterator[tuple[str, str]]:
+    """Write the samples of each clock into a folder of their own; give its name and what it holds."""
     for clock in sorted({batch.clock for batch in batches}):
         streams = streams_of(batch for batch in batches if batch.clock is clock)
         place = folder / f"samples_{clock}"
         write_folder(place, streams)
-        samples = ", ".join(f"{len(stream.t_ns)} of {stream.station.name.lower()}" for stream in streams)
-        written.append(f"{place.name}/: samples in the clock '{clock}': {samples}")
-    print(f"{folder}:")
-    print("\n".join(f"  {line}" for line in written) if written else "  nothing: no records")
-    return bool(written)
+        counts = ", ".join(f"{len(stream.t_ns)} of {stream.station.name.lower()}" for stream in streams)
+        yield place.name, f"samples in the clock '{clock}': {counts}"

@@ -20,11 +20,12 @@ from companion.evaluation.fleet.file_task import tasks_of
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv
 from companion.evaluation.fleet.runner import Row
-from companion.evaluation.fleet.trends import findings
+from companion.evaluation.fleet.trends import findings, unremarkable
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
 _SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
+SOME_FAILED = 1  # exit code of bad input: a script notices, table and page of the other files are written
 _MOST_WORKERS = 256  # more than any machine has use for
 
 
@@ -35,7 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own")
     parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=os.cpu_count() or 1, help="processes")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", default="", help="a Dask cluster in place of processes; see the README"
+        "--scheduler",
+        metavar="ADDRESS",
+        default="",
+        help="of a Dask cluster, such as tcp://192.168.1.5:8786, in place of processes here (extra fleet); its workers "
+        "have this Spanwise, one thread each, logs and --out at the same paths",
     )
     parser.add_argument(
         "--no-pages",
@@ -46,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Process the files that have no result yet, write table and page of all; 3 where no file gave a result."""
+    """Process the files that have no result yet, write table and page of all; 1 where one failed, 3 where all did."""
     require_report()
     if options.scheduler:
         require_dask()
@@ -60,11 +65,13 @@ def execute(options: argparse.Namespace) -> int:
     ordered = work_off(tasks, work, options.workers, options.scheduler, _done)
     tables = _write_tables(ordered, options.out)
     (options.out / "fleet.html").write_text(page.render(options.kind, ordered), encoding="utf-8")
-    failed = sum(bool(row.get("failed")) for row in ordered)
-    for sentence in findings([row for row in ordered if not row.get("failed")]):
+    good = [row for row in ordered if not row.get("failed")]
+    for sentence in [*findings(good), *unremarkable(good)]:
         print(f"  {sentence}")
-    print(f"{len(ordered) - failed} of {len(ordered)} files; wrote {options.out / 'fleet.html'}, {tables}")
-    return 0 if failed < len(ordered) else NOTHING_TO_ESTIMATE
+    print(f"{len(good)} of {len(ordered)} files; wrote {options.out / 'fleet.html'}, {tables}")
+    if not good:
+        return NOTHING_TO_ESTIMATE
+    return SOME_FAILED if len(good) < len(ordered) else 0
 
 
 def _write_tables(rows: list[Row], folder: Path) -> str:
@@ -93,4 +100,4 @@ def _files(logs: list[Path]) -> list[Path]:
 
 
 def _done(row: Row) -> str:
-    return f"{Path(row['file']).name} done"
+    return f"{Path(row['file']).name} done{', though it was cut off' if row.get('cut') else ''}"

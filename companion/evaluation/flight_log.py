@@ -9,19 +9,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from companion.evaluation.plan_outcomes import PlanOutcomes
-from companion.evaluation.recording_info import RecordingInfo
+from companion.evaluation.plan_outcomes import SKIPPED, PlanOutcomes
+from companion.evaluation.published_ranges import PublishedRanges
+from companion.evaluation.recording_info import AT_THE_END, RecordingInfo
+from companion.params.airframe import FAMILIES
 from companion.records import (
     ClockState,
     CorrectedRange,
     Firing,
     Floats,
     ImuBatch,
+    ModeEstimate,
     ModeState,
     Notice,
     Record,
+    Reject,
     Rejected,
-    ServiceStatus,
     Shot,
     Station,
     TriggerPlan,
@@ -64,6 +67,18 @@ class Spectrum:
         return any(abs(f_hz - mode_hz) <= _MODE_WIDTH * mode_hz for mode_hz in self.modes_hz)
 
 
+@dataclass(frozen=True, slots=True)
+class ModeSummary:
+    """First mode of a family over a flight: medians while it was tracked; ``rms_m`` is the vibration at the tip.
+
+    The rms is that of the mode's rate over its frequency: the slow bend by gusts and load is not in it.
+    """
+
+    frequency_hz: float
+    frequency_sigma_hz: float
+    rms_m: float
+
+
 @dataclass(slots=True)
 class FlightLog:
     """Everything that a report of one flight draws, gathered record by record.
@@ -73,24 +88,29 @@ class FlightLog:
 
     info: RecordingInfo = field(default_factory=RecordingInfo)
     outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
+    published: PublishedRanges = field(default_factory=PublishedRanges)
     modes: list[ModeState] = field(default_factory=list)
     ranges: list[CorrectedRange] = field(default_factory=list)
     clocks: list[ClockState] = field(default_factory=list)
-    status: list[ServiceStatus] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     delays_s: list[float] = field(default_factory=list)
     refused: list[Rejected] = field(default_factory=list)
     _plans: dict[int, TriggerPlan] = field(default_factory=dict)
+    _planned_at_m: dict[int, float] = field(default_factory=dict)
+    _stopped: dict[int, int] = field(default_factory=dict)
+    _newest_plan: int = -1
+    _range_m: float = float("nan")
     _vertical: dict[Station, list[Floats]] = field(default_factory=dict)
 
     def add(self, record: Record) -> None:
         """Take the next record, of any kind."""
         self.info.add(record)
         self.outcomes.take(record)
+        self.published.take(record)
         if isinstance(record, ImuBatch):
             self._vertical.setdefault(record.station, []).append(record.values[:, 2])
-        elif isinstance(record, TriggerPlan) and record.firing is not Firing.SKIP:
-            self._plans[record.plan_id] = record
+        elif isinstance(record, TriggerPlan):
+            self._plan(record)
         elif isinstance(record, Shot) and record.plan_id in self._plans:
             self.delays_s.append((record.fired_host_ns - record.planned_host_ns) * 1e-9)
         elif isinstance(record, Rejected):
@@ -99,19 +119,26 @@ class FlightLog:
             self.modes.append(record)
         elif isinstance(record, CorrectedRange):
             self.ranges.append(record)
+            self._range_m = record.range_m if record.trusted else self._range_m
         elif isinstance(record, ClockState):
             self.clocks.append(record)
-        elif isinstance(record, ServiceStatus):
-            self.status.append(record)
         elif isinstance(record, Notice):
             self.notices.append(record)
+
+    def _plan(self, plan: TriggerPlan) -> None:
+        self._newest_plan = plan.plan_id
+        self._stopped.pop(plan.plan_id, None)
+        if plan.firing is not Firing.SKIP:
+            self._plans[plan.plan_id], self._planned_at_m[plan.plan_id] = plan, self._range_m
+        elif plan.reject is Reject.STALE:
+            self._stopped[plan.plan_id] = plan.planned_host_ns
 
     @property
     def start_host_ns(self) -> int:
         """Host time of the first mode, range or status; 0 where there is none."""
         stamps = [self.modes[0].t_host_ns] if self.modes else []
         stamps += [self.ranges[0].t_host_ns] if self.ranges else []
-        stamps += [self.status[0].at_host_ns] if self.status else []
+        stamps += [status.at_host_ns for status in self.info.service.statuses[:1]]
         return min(stamps, default=0)
 
     def spectrum(self, station: Station) -> Spectrum | None:
@@ -124,8 +151,8 @@ class FlightLog:
         if len(values) < 2 * length:
             return None
         f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
-        tracked = [mode for mode in self.modes if mode.validity is Validity.TRACKING][-1:]
-        modes_hz = [family.frequency_hz for mode in tracked for family in (mode.symmetric, mode.antisymmetric)]
+        summaries = [self.mode(name) for name in FAMILIES]
+        modes_hz = [summary.frequency_hz for summary in summaries if summary is not None]
         return Spectrum(np.asarray(f_hz), np.asarray(density), tuple(modes_hz))
 
     def noise_density(self, station: Station) -> float | None:
@@ -143,9 +170,20 @@ class FlightLog:
         low_hz, high_hz = (ratio * 0.5 * stream.rate_hz for ratio in _NOISE_BAND)
         return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
 
-    def blur_px(self) -> Floats:
-        """Predicted blur of each plan to fire, px."""
-        return np.array([plan.blur_px for plan in self._plans.values()])
+    def blur_px(self) -> tuple[Floats, Floats]:
+        """Predicted blur of each plan to fire, px, and the last range when it was made, m (NaN before any)."""
+        return np.array([plan.blur_px for plan in self._plans.values()]), np.array(list(self._planned_at_m.values()))
+
+    def plan_outcomes(self) -> dict[str, int]:
+        """How many plans came to each end; those made after the last sample have an end of their own."""
+        counts, stopped = self.outcomes.counts(), f"{SKIPPED}{Reject.STALE}"
+        # the newest plan still waits, and is not among the counts
+        settled = [planned_ns for number, planned_ns in self._stopped.items() if number != self._newest_plan]
+        ended = sum(self.info.service.is_end(planned_ns) for planned_ns in settled)
+        if not ended:
+            return counts
+        counts[stopped] -= ended
+        return {name: count for name, count in counts.items() if count} | {f"{SKIPPED}{AT_THE_END}": ended}
 
     def trusted(self) -> list[CorrectedRange]:
         """Ranges that were published."""
@@ -155,14 +193,22 @@ class FlightLog:
         """Ranges that were not published, by reason."""
         return Counter(str(entry.reject) for entry in self.ranges if not entry.trusted)
 
-    def tracked_share(self) -> float:
-        """Share of the mode states in which the wing was tracked."""
-        return sum(mode.validity is Validity.TRACKING for mode in self.modes) / max(len(self.modes), 1)
+    def tracked(self) -> list[ModeState]:
+        """Mode states in which the wing was tracked."""
+        return [mode for mode in self.modes if mode.validity is Validity.TRACKING]
 
-    def longest_silence_s(self) -> float:
-        """Longest time between two published ranges, s; 0 for fewer than two."""
-        t_ns = np.array([entry.t_host_ns for entry in self.trusted()], dtype=np.int64)
-        return float(np.diff(t_ns).max()) * 1e-9 if len(t_ns) > 1 else 0.0
+    def tracked_ratio(self) -> float:
+        """Share of the mode states in which the wing was tracked, those after the last sample left out."""
+        flown = [mode for mode in self.modes if not self.info.service.is_end(mode.t_host_ns)]
+        return sum(mode.validity is Validity.TRACKING for mode in flown) / max(len(flown), 1)
+
+    def mode(self, name: str) -> ModeSummary | None:
+        """Summary of the ``symmetric`` or ``antisymmetric`` first mode; None where it was never tracked."""
+        modes: list[ModeEstimate] = [getattr(mode, name) for mode in self.tracked()]
+        if not modes:
+            return None
+        figures = ("frequency_hz", "frequency_sigma_hz", "rms_m")
+        return ModeSummary(*(float(np.median([getattr(mode, figure) for mode in modes])) for figure in figures))
 
 
 def gather(records: Iterable[Record]) -> FlightLog:

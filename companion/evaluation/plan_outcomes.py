@@ -12,7 +12,7 @@ REPLACED = "gave way to a better instant"
 LATE = "came too late to be fired"
 FAILED = "refused by the trigger or the autopilot"
 WITHDRAWN = "withdrawn"
-_SKIPPED = "skipped: "
+SKIPPED = "skipped: "
 _OPEN_PLANS = 32  # plans that may still be open
 _ANSWER_NS = 1_000_000_000
 
@@ -28,7 +28,7 @@ class _Entry:
             return self.outcome
         if self.plan.firing is not Firing.SKIP:
             return REPLACED
-        return WITHDRAWN if self.plan.reject is None else _SKIPPED + str(self.plan.reject)
+        return WITHDRAWN if self.plan.reject is None else SKIPPED + str(self.plan.reject)
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class PlanOutcomes:
             if newest.outcome is not None:
                 total[newest.outcome] += 1
         order = sorted(
-            total, key=lambda outcome: (outcome.startswith(_SKIPPED), outcome != FIRED, -total[outcome], outcome)
+            total, key=lambda outcome: (outcome.startswith(SKIPPED), outcome != FIRED, -total[outcome], outcome)
         )
         return {outcome: total[outcome] for outcome in order}
 

@@ -11,10 +11,12 @@ import numpy as np
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
-from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, Rejected, ServiceStatus, Station
+from companion.evaluation.service_health import ServiceHealth
+from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, Reject, Rejected, Station
 
 _GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap
 _USUAL_STEPS = 1000  # steps that the usual one is the median of
+AT_THE_END = "after the last sample (the recording's end)"
 
 
 @dataclass(slots=True)
@@ -74,19 +76,25 @@ class RecordingInfo:
     counts: Counter[str] = field(default_factory=Counter)
     rejected: Counter[str] = field(default_factory=Counter)
     published: int = 0
-    health: str = ""
+    service: ServiceHealth = field(default_factory=ServiceHealth)
+    _stopped: list[Rejected] = field(default_factory=list)
 
     def add(self, record: Recordable) -> None:
         """Count one record."""
         self.counts[type(record).__name__] += 1
+        self.service.take(record)
         if isinstance(record, ImuBatch):
             self.streams.setdefault(record.station, StreamInfo()).add(record)
         elif isinstance(record, Rejected):
             self.rejected[str(record.reason)] += record.count
+            self._stopped += [record] if record.reason is Reject.STALE else []
         elif isinstance(record, CorrectedRange):
             self.published += record.trusted
-        elif isinstance(record, ServiceStatus):
-            self.health = f"{record.health}: {record.reason}" if record.reason else str(record.health)
+
+    def refused(self) -> Counter[str]:
+        """Refusals by reason; those of the flight's end, when no sample came any more, have a reason of their own."""
+        ended = sum(refusal.count for refusal in self._stopped if self.service.is_end(refusal.at_host_ns))
+        return self.rejected - Counter({str(Reject.STALE): ended}) + Counter({AT_THE_END: ended})
 
     @property
     def duration_s(self) -> float:
@@ -113,8 +121,8 @@ def lines(recording: Recording, info: RecordingInfo) -> list[str]:
     text += [f"  records: {_counted(info.counts)}"] if info.counts else ["  no records"]
     if info.counts["CorrectedRange"]:
         text.append(f"  ranges: {info.counts['CorrectedRange']} corrected, {info.published} published")
-    text += [f"  refused: {_counted(info.rejected)}"] if info.rejected else []
-    text += [f"  service at the end: {info.health}"] if info.health else []
+    text += [f"  refused: {_counted(info.refused())}"] if info.rejected else []
+    text += [f"  service: {info.service.summary()}"] if info.service.statuses else []
     changed = ", ".join(f"{name} {value:g}" for name, value in recording.settings.changed().items())
     text += [f"  changed settings: {changed}"] if changed else []
     text += [f"  note: {notice.text}" for notice in recording.notices]
@@ -142,12 +150,15 @@ def _counted(counts: Counter[str]) -> str:
 
 
 def _uses(recording: Recording, info: RecordingInfo) -> str:
-    """Purposes that the recording serves."""
+    """Commands that can use the recording, and what each would give; none of them has been run."""
     if not info.streams:
         return "nothing to replay or to diagnose: no inertial samples"
-    replay = "replay: as published" if recording.replayable else "replay: estimates anew, not as published"
+    replay = "as it was published" if recording.replayable else "anew, not as it was published"
+    text = f"can be used for: spanwise replay (estimates {replay})"
     missing = _missing(info.streams)
-    return f"{replay}; diagnose: {f'needs {missing}' if missing else 'wing sensors and root are there'}"
+    if missing:
+        return f"{text}; not for spanwise diagnose, which needs {missing}"
+    return f"{text}, spanwise diagnose (has wing sensors and root)"
 
 
 def _missing(streams: Iterable[Station]) -> str:

@@ -11,6 +11,7 @@ from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed_image
 from companion.reporting.page import render
 
+_POINTS_PER_IN = 72.0
 _SYMBOLS = (
     (r"\bbeta\*l\b", "βl"),
     (r"\bomega_([123])\b", lambda match: "ω" + "₁₂₃"[int(match[1]) - 1]),
@@ -43,12 +44,18 @@ def with_symbols(escaped: str) -> str:
     return escaped
 
 
+def _width_in(svg: str) -> float:
+    """Width of a drawing, as matplotlib states it in points; 0 for one that has none."""
+    width = re.search(r'<svg[^>]* width="([\d.]+)pt"', svg)
+    return float(width[1]) / _POINTS_PER_IN if width else 0.0
+
+
 def _blocks(section: Section) -> list[Block]:
     return [
         Heading(section.title, key=section.key),
         Findings(section.findings),
         *[
-            embed_image(picture.svg.encode(), "svg+xml", picture.title, caption=picture.title)
+            embed_image(picture.svg.encode(), "svg+xml", picture.title, picture.title, _width_in(picture.svg))
             for picture in section.pictures
         ],
         *[Table(table.header, table.rows, title=table.title, note=table.note) for table in section.tables],

@@ -68,12 +68,16 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Image inside the page: its data URI, a ``text`` for those who cannot see it, and a caption beneath it."""
+    """Image inside the page: its data URI, a ``text`` for those who cannot see it, and a caption beneath it.
+
+    Narrower than ``readable_px`` its lettering could not be read: a page that has no room for it scrolls it sideways.
+    """
 
     kind: ClassVar[str] = "picture"
     source: str
     text: str
     caption: str = ""
+    readable_px: int = 0
 
 
 @dataclass(frozen=True, slots=True)

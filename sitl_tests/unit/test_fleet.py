@@ -17,11 +17,11 @@ from companion.cli.main import main
 from companion.errors import RecordingError
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.file_task import FileTask, tasks_of
-from companion.evaluation.fleet.page import render
+from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
 from companion.evaluation.fleet.runner import run
-from companion.evaluation.fleet.trends import findings
+from companion.evaluation.fleet.trends import findings, unremarkable
 from companion.evaluation.flight_log import gather
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -128,6 +128,53 @@ def test_a_flight_whose_mode_or_sensor_leaves_its_aircraft_s_median_is_named() -
     assert findings([*rows, other]) == [], "another airframe has a median of its own"
 
 
+@pytest.mark.parametrize(
+    ("count", "sentence"),
+    [
+        (2, "nadir-2m: too few flights for a usual value (2; 3 are needed, 9 for a drift)"),
+        (5, "nadir-2m: none of 5 flights leaves their median by three sigma; too few for a drift (9 are needed)"),
+        (9, "nadir-2m: nothing drifts over 9 flights, and none leaves their median by three sigma"),
+    ],
+)
+def test_nothing_remarkable_is_said_with_the_number_of_flights_behind_it(count: int, sentence: str) -> None:
+    rows = [flight(number) for number in range(count)]
+    assert unremarkable(rows) == [sentence]
+    assert sentence in render("report", rows)
+    assert unremarkable([*rows, *rows, flight(90, symmetric_hz=4.0)]) == [], "a finding stands in its place"
+
+
+def test_the_page_names_cut_and_failed_files_among_all_and_no_normal_verdict() -> None:
+    failed = {"file": "/log/bad.mcap", "failed": "/log/bad.mcap: is empty (0 bytes)"}
+    shared = {"verdict": "usable", "withheld: sigma too large": 9, "active_ratio": 0.7705, "cut": False}
+    rows = [failed, *(flight(number, **shared) for number in range(3)), flight(3, verdict="usable", cut=True)]
+    text = render("report", rows)
+    assert "4 of 5 files give a result (1 of them cut off), 1 airframe" in text.lower()
+    assert "cut off while recording, and judged by what is there: 3.mcap" in text
+    assert "verdict: usable" not in text
+    assert "withheld now and then is normal" in text
+    assert '<td>withheld: sigma too large</td><td class="n">3 of 4</td>' in text
+    assert "<td>bad.mcap</td><td>is empty (0 bytes)</td>" in text, "the name of the file is not said twice"
+    every_file = text.partition("Every file")[2]
+    assert '<td>bad.mcap</td><td class="bad">failed</td>' in every_file
+    assert "<td>3.mcap</td><td>cut</td>" in every_file
+    assert '<th class="n">service active, % of time</th>' in every_file
+    assert '<td class="n">77.05</td>' in every_file
+    assert "spanwise fleet report" in text
+    assert 'class="verdict good"' in render("report", rows[1:4])
+
+
+def test_what_comes_equally_often_is_listed_in_the_same_order_in_every_run() -> None:
+    names = [f"withheld: reason {letter}" for letter in "hgfedcba"]
+    text = render("report", [flight(number, **dict.fromkeys(names, 1)) for number in range(2)])
+    places = [text.index(name) for name in sorted(names)]
+    assert places == sorted(places)
+
+
+def test_a_long_name_keeps_its_end_beneath_the_picture() -> None:
+    assert short_name("/log/flight-2026-11-26T10-30-05.mcap") == "…26-11-26T10-30-05"
+    assert short_name("/log/7.mcap") == "7"
+
+
 def test_a_mode_that_falls_and_a_sensor_whose_noise_grows_are_named_once_each_with_their_change() -> None:
     rng = np.random.default_rng(5)
     steady = [flight(k, symmetric_hz=5.0 + 0.03 * rng.standard_normal(), left_noise=0.02) for k in range(30)]
@@ -158,7 +205,9 @@ def test_a_diagnosis_becomes_a_row_and_what_it_names_twice_a_finding() -> None:
     assert rows[0]["effects"] == "accel-scale"
     assert rows[2]["held_out_gain_nat"] is None
     assert findings(rows) == ["a: accel-scale named in 2 of 3 flights, median 0.031 (0.031 to 0.031)"]
-    assert "effect: accel-scale" in render("diagnose", rows)
+    page = render("diagnose", rows)
+    assert "effect: accel-scale" in page
+    assert "withheld now and then" not in page
 
 
 def test_the_lowest_mode_of_each_family_is_the_row_of_an_identification() -> None:
@@ -220,18 +269,24 @@ def test_the_command_writes_table_page_and_parts(tmp_path: Path, capsys: pytest.
     logs.mkdir()
     record(logs / "a.mcap", 1.0)
     record(logs / "b.mcap", 2.0)
+    whole = (logs / "b.mcap").read_bytes()
+    (logs / "b.mcap").write_bytes(whole[: len(whole) * 9 // 10])
     (logs / "broken.mcap").write_bytes(b"no recording")
-    assert main(["fleet", "report", str(logs), "--out", str(tmp_path / "out"), "--workers", "2"]) == 0
+    command = ["fleet", "report", str(logs), "--out", str(tmp_path / "out"), "--workers", "2"]
+    assert main(command) == 1, "a script notices that a file failed"
     assert "2 of 3 files" in capsys.readouterr().out
     table = list(csv.DictReader((tmp_path / "out" / "fleet.csv").read_text().splitlines()))
     assert [Path(row["file"]).name for row in table] == ["a.mcap", "b.mcap", "broken.mcap"]
     assert [row["left_rate_hz"] for row in table] == ["1000.0", "1000.0", ""]
+    assert [row["cut"] for row in table] == ["False", "True", ""]
     page = (tmp_path / "out" / "fleet.html").read_text()
     assert "2 of 3 files give a result" in page
     assert "broken.mcap" in page
     assert len(list((tmp_path / "out" / "pages").iterdir())) == 2
     parts = [json.loads(part.read_text()) for part in (tmp_path / "out" / "parts").iterdir()]
     assert sum("failed" in part for part in parts) == 1
+    (logs / "broken.mcap").unlink()
+    assert main(command) == 0
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:

@@ -11,7 +11,9 @@ import pytest
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.evaluation.flight_log import FlightLog, Spectrum, gather
+from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.pages.flight_report import lines_sentence, verdict
+from companion.evaluation.recording_info import AT_THE_END
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -33,6 +35,7 @@ from companion.records import (
     Station,
     TriggerPlan,
     Validity,
+    VehicleState,
 )
 
 AIRFRAME = load_airframe("nadir-2m")
@@ -42,7 +45,7 @@ LINE_HZ, MODE_HZ = 80.0, 5.0
 
 def ranged(number: int, *, trusted: bool = True, rigid_m: float = 30.0) -> CorrectedRange:
     reject = None if trusted else Reject.SIGMA_TOO_LARGE
-    at_ns = number * SECOND_NS // 4
+    at_ns = number * SECOND_NS // 2
     return CorrectedRange(number, number, at_ns, 25, 60.0, 0.6, 4e-3, 1e-4, rigid_m, 40, trusted, reject)
 
 
@@ -69,7 +72,7 @@ def shaken(station: Station) -> list[ImuBatch]:
 def flight() -> list[Record]:
     records: list[Record] = [batch for station in Station for batch in shaken(station)]
     for number in range(40):
-        at_ns = number * SECOND_NS // 4
+        at_ns = number * SECOND_NS // 2
         plan = TriggerPlan(number, Firing.PEAK, at_ns, at_ns, 1_000_000, 0.3, at_ns + 10, at_ns)
         records += [mode(at_ns), plan, Shot(number, at_ns, at_ns + 20_000), ranged(number, trusted=number % 4 != 0)]
         records.append(ClockState(ClockName.NODE_LEFT, at_ns, 7, 1.0, 150_000, True))
@@ -133,18 +136,100 @@ def test_a_propellers_line_is_told_at_the_tips_and_not_at_the_root(log: FlightLo
 
 def test_the_verdict_counts_what_was_published_and_says_why_not_the_rest(log: FlightLog) -> None:
     judged = verdict(log)
-    assert judged.key == "adequate"
-    assert "30 of 40 ranges were published (75 %), median sigma 1.0 % of the range" in judged.headline
+    assert (judged.word, judged.grade) == ("usable", "good")
+    assert "Usable: 30 of 40 ranges were published (75 %), median sigma 1.0 % of the range" in judged.headline
     assert any("10 withheld: sigma too large" in reason for reason in judged.reasons)
 
 
 def test_a_long_silence_or_mostly_withheld_ranges_are_no_good_flight() -> None:
-    withheld = gather([mode(0), *(ranged(i, trusted=i < 3) for i in range(10))])
-    assert verdict(withheld).key == "unexplained"
+    withheld = verdict(gather([mode(0), *(ranged(i, trusted=i < 3) for i in range(10))]))
+    assert (withheld.word, withheld.grade) == ("often withheld", "poor")
     late = dataclasses.replace(ranged(1), t_host_ns=60 * SECOND_NS)
-    silent = gather([mode(0), ranged(0), late])
-    assert verdict(silent).key == "unexplained"
-    assert any("longest time without a range 60.0 s" in reason for reason in verdict(silent).reasons)
+    silent = verdict(gather([mode(0), ranged(0), late]))
+    assert (silent.word, silent.grade) == ("with long silences", "poor")
+    assert any("longest time without a range was 60.0 s" in reason for reason in silent.reasons)
+
+
+def at(t_s: float, *, trusted: bool = True) -> CorrectedRange:
+    return dataclasses.replace(ranged(0, trusted=trusted), t_host_ns=round(t_s * SECOND_NS))
+
+
+def state(t_s: float, *, on_ground: bool) -> VehicleState:
+    at_ns = round(t_s * SECOND_NS)
+    return VehicleState(at_ns, at_ns, 0.0, 0.0, 0.0, 20.0, 0.0, 0.5, armed=True, on_ground=on_ground)
+
+
+def test_the_wait_for_the_first_range_and_the_longest_after_it_are_both_said() -> None:
+    every_second = [at(t_s) for t_s in np.arange(12.0, 30.0)]
+    judged = verdict(gather([mode(0), *every_second, at(33.0)]))
+    first, longest = judged.reasons
+    assert first == "first range published 12.0 s after the recording's begin (the wing is learned before)"
+    assert longest == "after it, the longest time without a range was 4.0 s"
+    assert judged.word == "usable", "a warm-up of this length is what a wing takes"
+    slow = verdict(gather([mode(0), at(31.0), at(32.0)]))
+    assert (slow.word, slow.grade) == ("late", "fair")
+
+
+def test_ranges_that_end_before_the_samples_do_are_a_silence() -> None:
+    samples = shaken(Station.ROOT)  # until 20 s
+    log = gather([mode(0), at(1.0), at(2.0), *samples])
+    assert log.published.longest_silence_s == pytest.approx(18.0, abs=0.01)
+    assert verdict(log).word == "with long silences"
+
+
+def test_on_the_ground_no_range_is_waited_for() -> None:
+    before = [state(t_s, on_ground=True) for t_s in np.arange(0.0, 100.0)]
+    flown = [at(t_s) for t_s in np.arange(104.0, 120.0)]
+    after = [state(t_s, on_ground=True) for t_s in np.arange(121.0, 200.0)]
+    log = gather([mode(0), *before, state(100.0, on_ground=False), *flown, *after])
+    assert log.published.first_s == pytest.approx(5.0)
+    assert log.published.longest_silence_s == pytest.approx(2.0)
+    assert "5.0 s after lift-off" in verdict(log).reasons[0]
+
+
+def test_modes_are_medians_of_the_tracked_flight_and_not_its_last_state() -> None:
+    slower = dataclasses.replace(mode(0).symmetric, frequency_hz=4.0)
+    untracked = dataclasses.replace(mode(9, Validity.STALE), symmetric=slower)
+    summary = gather([mode(0), mode(1), dataclasses.replace(mode(2), symmetric=slower), untracked]).mode("symmetric")
+    assert summary is not None
+    assert (summary.frequency_hz, summary.rms_m) == (MODE_HZ, 0.003)
+    assert gather([untracked]).mode("symmetric") is None
+
+
+def stopped_plan(number: int, planned_s: float) -> TriggerPlan:
+    at_ns = round(planned_s * SECOND_NS)
+    return TriggerPlan(number, Firing.SKIP, at_ns, at_ns, 0, 0.3, at_ns, at_ns, Reject.STALE)
+
+
+def test_plans_after_the_last_sample_are_the_end_of_the_flight_and_no_stopped_stream() -> None:
+    samples = shaken(Station.ROOT)  # until 20 s
+    plans = [stopped_plan(1, 12.0), *(stopped_plan(number, 20.0 + 0.1 * number) for number in (2, 3, 4))]
+    outcomes = gather([*samples, *plans]).plan_outcomes()
+    assert outcomes == {"skipped: stream stopped": 1, f"skipped: {AT_THE_END}": 2}, "the newest still waits"
+    # a service that goes on for long without samples has lost them: no end of a flight
+    status = ServiceStatus(60 * SECOND_NS, Health.CRITICAL, "stale")
+    assert gather([*samples, *plans, status]).plan_outcomes() == {"skipped: stream stopped": 3}
+
+
+def test_refusals_add_up_to_the_sum_that_stands_above_them(log: FlightLog) -> None:
+    rows = figures.refusals_by_reason(log)
+    assert {reason: count for reason, (count, _) in rows.items()} == {
+        "clock not synced": 3,
+        "range withheld: sigma too large": 10,
+    }
+    assert len(rows["clock not synced"][1]) == 1, "one message stands for three samples"
+
+
+def test_blur_is_told_apart_by_the_distance_of_the_scene() -> None:
+    """Flight past a near scene blurs more: its hump has a name."""
+    plans = [TriggerPlan(k, Firing.PEAK, k, k, 1, blur, k, k) for k, blur in enumerate((0.3, 0.4, 1.8))]
+    far, near = dataclasses.replace(ranged(0), range_m=100.0), dataclasses.replace(ranged(1), range_m=20.0)
+    groups = figures.blur_by_nearness(*gather([plans[0], far, plans[1], near, plans[2]]).blur_px())
+    assert {name: blur.tolist() for name, blur in groups.items()} == {
+        "beyond 45 m": [0.4],
+        "within 45 m": [1.8],
+        "no range yet": [0.3],
+    }
 
 
 def test_without_wing_or_cameras_the_verdict_says_so() -> None:
@@ -166,6 +251,8 @@ def test_the_command_writes_one_page_that_refers_to_nothing_outside(
     for outside in ("http://", "https://", "<script", "<link"):
         assert outside not in text
     assert text.count("data:image/png;base64,") == 6
+    assert "<title>Flight: usable</title>" in text
+    assert "All settings had their defaults." in text
     assert "nan" not in text.split("base64")[0].lower()
 
 
@@ -192,3 +279,17 @@ def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_
     text = (tmp_path / "short.html").read_text(encoding="utf-8")
     assert "No spectra: they need 16 s" in text
     assert text.count("data:image/png;base64,") == 5
+
+
+def test_a_recording_that_was_cut_off_says_so_beneath_its_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cut.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    for record in flight():
+        writer.write(record)
+    writer.close()
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert main(["report", str(path)]) == 0
+    assert "note: cut.mcap: truncated at" in capsys.readouterr().out
+    assert "of flight, cut off while recording" in (tmp_path / "cut.html").read_text(encoding="utf-8")

@@ -56,6 +56,8 @@ def test_the_page_needs_nothing_from_anywhere(sections: list[Section], tmp_path:
     anchors = set(re.findall(r'id="([^"]+)"', pages["report.html"]))
     assert {link[1:] for link in links.fetched if link.startswith("#")} == anchors
     assert not re.search(r"url\(|@import", pages["report.html"])
+    pictures = sum(len(section.pictures) for section in sections)
+    assert len(re.findall(r"--readable: [1-9]\d+px", pages["report.html"])) == pictures > 0
 
 
 def test_every_section_is_in_all_three_files(sections: list[Section], tmp_path: Path) -> None:

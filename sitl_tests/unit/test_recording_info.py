@@ -10,15 +10,16 @@ import pytest
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
-from companion.evaluation.recording_info import StreamInfo, summarise
+from companion.evaluation.recording_info import AT_THE_END, RecordingInfo, StreamInfo, summarise
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, ImuBatch, Reject, Rejected, Station
+from companion.records import Axis, ClockName, Health, ImuBatch, Reject, Rejected, ServiceStatus, Station
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
 AIRFRAME = load_airframe("nadir-2m")
 STEP_NS = 1_000_000
+S = 1_000_000_000
 
 
 def batch(station: Station, first_ns: int, count: int) -> ImuBatch:
@@ -63,7 +64,7 @@ def test_the_screen_names_what_is_there_and_what_was_changed(
     assert "left  1700 samples of xyz at 1000.0 Hz, 1 gap, 0.30 s together" in screen
     assert "7 clock not synced" in screen
     assert "RNG_MATCHES 20" in screen
-    assert "as published" in screen
+    assert "can be used for: spanwise replay (estimates as it was published), spanwise diagnose" in screen
     assert max(map(len, screen.splitlines())) < 200
     assert len(screen.splitlines()) < 25
 
@@ -85,6 +86,20 @@ def test_what_is_no_recording_is_one_sentence(tmp_path: Path, capsys: pytest.Cap
     assert "no such file" in capsys.readouterr().err
 
 
+def test_a_file_or_folder_that_cannot_be_read_is_called_what_it_is(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "bare").mkdir()
+    for path, sentence in (
+        (tmp_path / "empty.mcap", "is empty (0 bytes)"),
+        (recorded.parent, "a folder with recordings; give one of them: empty.mcap, flight.mcap"),
+        (tmp_path / "bare", "no accel.csv in this folder, and no recording"),
+    ):
+        assert main(["info", str(path)]) == 1
+        assert sentence in capsys.readouterr().err
+
+
 def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
     stream = StreamInfo()
     for count in (0, 3):
@@ -102,3 +117,69 @@ def test_samples_that_are_recorded_as_bytes_and_as_records_count_once(tmp_path: 
     root = summarise(open_recording(path)).streams[Station.ROOT]
     assert root.rate_hz == pytest.approx(AIRFRAME.root.rate_hz, rel=0.01)
     assert root.samples == pytest.approx(3.0 * AIRFRAME.root.rate_hz, rel=0.01)
+
+
+def status(at_s: float, health: Health, reason: str = "") -> ServiceStatus:
+    return ServiceStatus(round(at_s * S), health, reason)
+
+
+def served(*statuses: ServiceStatus, samples_until_s: float) -> RecordingInfo:
+    """Statuses of a service, and samples of the root up to a second."""
+    info = RecordingInfo()
+    for second in range(round(samples_until_s)):
+        info.add(batch(Station.ROOT, second * S, 1000))
+    for entry in statuses:
+        info.add(entry)
+    return info
+
+
+ACTIVE = [status(second, Health.ACTIVE, "tracking") for second in range(5, 20)]
+WARM_UP = [status(second, Health.STANDBY, "settling") for second in range(5)]
+STOPPED = status(20.4, Health.CRITICAL, "stale")
+
+
+def test_the_end_of_the_streams_is_no_state_of_the_service() -> None:
+    info = served(*WARM_UP, *ACTIVE, STOPPED, samples_until_s=20.0)
+    expected = "active 75 % of the time, first after 5.0 s; with the last samples active: tracking"
+    assert info.service.summary() == expected
+    assert info.service.answer().startswith("yes: active without a break after a warm-up of 5 s")
+    assert info.service.answer().endswith("With the warm-up, active 75 % of the time")
+    assert served(*WARM_UP, *ACTIVE, samples_until_s=20.0).service.summary() == expected, (
+        "a file that is cut is the same"
+    )
+
+
+def test_samples_that_stop_long_before_the_recording_does_are_said() -> None:
+    lost = [status(20.4 + second, Health.CRITICAL, "stale") for second in range(10)]
+    service = served(*WARM_UP, *ACTIVE, *lost, samples_until_s=20.0).service
+    assert (
+        service.summary() == "active 50 % of the time, first after 5.0 s; no samples in the last 9.4 s: critical: stale"
+    )
+    assert service.answer().startswith(
+        "not always: active 60 % of the time (else critical: stale (10 s)) after a warm-up"
+    )
+
+
+def test_a_service_that_never_was_active_says_so() -> None:
+    assert served(*WARM_UP, samples_until_s=5.0).service.answer().startswith("no: it was never active")
+    assert served(samples_until_s=5.0).service.answer() == "no status recorded"
+    assert "never active" in served(*WARM_UP, samples_until_s=5.0).service.summary()
+
+
+def test_what_is_refused_after_the_last_sample_is_the_end_and_no_stopped_stream() -> None:
+    ended, lost = (Rejected(Reject.STALE, "pair 4", round(at_s * S)) for at_s in (20.2, 12.0))
+    info = served(*ACTIVE, STOPPED, samples_until_s=20.0)
+    info.add(ended)
+    assert info.refused() == {AT_THE_END: 1}
+    info.add(lost)
+    assert info.refused() == {AT_THE_END: 1, "stream stopped": 1}
+
+
+def test_a_log_without_the_wing_says_which_command_cannot_use_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = McapWriter(tmp_path / "root.mcap", About.of(AIRFRAME, Settings()))
+    writer.write(batch(Station.ROOT, 0, 1000))
+    writer.close()
+    assert main(["info", str(tmp_path / "root.mcap")]) == 0
+    assert "not for spanwise diagnose, which needs samples of a wing tip" in capsys.readouterr().out

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +16,22 @@ from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.record_tables import RecordTables
+from companion.adapters.recordings.tables.tables_readme import column_unit
 from companion.cli.main import main
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, ImuBatch, RawChunk, Station
+from companion.records import (
+    ClockName,
+    CorrectedRange,
+    Flow,
+    Health,
+    ImuBatch,
+    MatchSet,
+    RawChunk,
+    ServiceStatus,
+    Station,
+    VehicleState,
+)
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 from sitl_tests.unit.test_mavlink_scan import frame
@@ -109,6 +123,98 @@ def test_every_row_of_a_kind_has_the_columns_of_the_first(flown: Path, tmp_path:
     for file in tmp_path.glob("*.csv"):
         with file.open(encoding="utf-8") as lines:
             assert len({len(row) for row in csv.reader(lines)}) == 1, file.name
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+PAIR = MatchSet(
+    7, 3, (ClockName.CAM_LEFT, ClockName.CAM_RIGHT), np.array([10, 12]), 2_000_000, 0,
+    np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), np.array([[0.5, 2.0], [2.5, 4.0], [4.5, 6.0]]),
+    np.array([0.1, 0.2, 0.3]), 99, 1, Flow(6, np.array([1]), np.array([[3.25, 4.5]]), np.array([0.4])),
+)  # fmt: skip
+
+
+def test_every_match_is_a_row_with_its_place_in_the_earlier_image(tmp_path: Path) -> None:
+    with RecordTables(tmp_path) as tables:
+        tables.add(PAIR)
+    (pair,) = table(tmp_path / "vision_matches.csv")
+    assert (pair["pair_id"], pair["clocks_1"], pair["mid_exposure_ns_1"]) == ("7", "cam_right", "12")
+    assert (pair["matches"], pair["in_earlier_image"], pair["filled"]) == ("3", "1", "1")
+    points = table(tmp_path / "vision_points.csv")
+    assert [(row["left_column_px"], row["right_row_px"], row["sigma_px"]) for row in points] == [
+        ("1.0", "2.0", "0.1"),
+        ("3.0", "4.0", "0.2"),
+        ("5.0", "6.0", "0.3"),
+    ]
+    assert [row["filled"] for row in points] == ["False", "False", "True"]
+    assert [row["earlier_column_px"] for row in points] == ["", "3.25", ""]
+    assert tables.rows == {"vision_matches.csv": 1, "vision_points.csv": 3}
+
+
+def test_a_velocity_has_three_columns_also_before_the_autopilot_tells_it(tmp_path: Path) -> None:
+    silent = VehicleState(1, 1, 0.0, 0.0, 0.0, 20.0, 0.0, 0.5, armed=True)
+    with RecordTables(tmp_path) as tables:
+        tables.add(silent)
+        tables.add(dataclasses.replace(silent, velocity_ned_mps=(22.0, 0.5, 0.1), velocity_sigma_mps=0.3))
+    first, second = table(tmp_path / "vehicle_state.csv")
+    names = [f"velocity_ned_mps_{i}" for i in range(3)]
+    assert [first[name] for name in names] == ["", "", ""]
+    assert [second[name] for name in names] == ["22.0", "0.5", "0.1"]
+    assert second["velocity_sigma_mps"] == "0.3"
+
+
+def test_counters_are_json(tmp_path: Path) -> None:
+    counters = {"samples left": 965, "clock not synced": 197}
+    with RecordTables(tmp_path) as tables:
+        tables.add(ServiceStatus(1, Health.ACTIVE, "tracking", counters))
+    (row,) = table(tmp_path / "status_service.csv")
+    assert json.loads(row["counters"]) == counters
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ("symmetric.frequency_hz", "Hz"),
+        ("velocity_ned_mps_2", "m/s"),
+        ("t_host_ns", "ns"),
+        ("skew_ppm", "ppm"),
+        ("body_rate_radps_0", "rad/s"),
+        ("left_row_px", "px"),
+        ("pair_id", ""),
+        ("count", ""),
+        ("covariance_12", ""),
+    ],
+)
+def test_a_column_s_unit_is_read_from_its_name(column: str, unit: str) -> None:
+    assert column_unit(column) == unit
+
+
+def test_the_folder_explains_each_of_its_tables_and_is_known_for_what_it_is(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "tables"
+    assert main(["convert", str(flown), str(folder)]) == 0
+    text = (folder / "README.txt").read_text(encoding="utf-8")
+    for place in folder.iterdir():
+        assert place.name == "README.txt" or f"\n{place.name}" in text, place.name
+    assert "range_m [m], sigma_m [m]" in text
+    assert "covariance_0 to covariance_35" in text
+    assert "corrected for the bend" in text, "the meaning of a table is that of its record"
+    assert "images, which the recording keeps" in text
+    for airframe in ([], ["--airframe", "nadir-2m"]):
+        assert main(["info", str(folder), *airframe]) == 1
+        assert "tables that spanwise convert wrote, no recording" in capsys.readouterr().err
+
+
+def test_a_single_file_of_tables_is_refused_with_a_name_that_would_do(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(flown), str(tmp_path / "flight.csv")]) == 1
+    assert f"name a folder, such as {tmp_path / 'flight'}" in capsys.readouterr().err
+    assert not (tmp_path / "flight.csv").exists()
 
 
 @pytest.mark.parametrize(

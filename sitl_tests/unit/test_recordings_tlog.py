@@ -182,13 +182,13 @@ def test_what_is_no_tlog_is_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "empty.tlog").write_bytes(b"")
     (tmp_path / "noise.tlog").write_bytes(np.random.default_rng(1).bytes(5000))
     (tmp_path / "notes.txt").write_text("this is no recording at all")
-    for name in ("empty.tlog", "noise.tlog"):
-        with pytest.raises(RecordingError, match=rf"{name}: no MAVLink frame"):
+    for name, words in (("empty.tlog", "is empty"), ("noise.tlog", "no MAVLink frame")):
+        with pytest.raises(RecordingError, match=rf"{name}: {words}"):
             open_recording(tmp_path / name, AIRFRAME)
     with pytest.raises(RecordingError, match=r"notes\.txt: not a recording that can be read; known are \.mcap"):
         open_recording(tmp_path / "notes.txt", AIRFRAME)
     (tmp_path / "a.tlog").write_bytes(flight(0.1).data)
-    with pytest.raises(RecordingError, match="left and right on a clock of its own"):
+    with pytest.raises(RecordingError, match=r"left and right sensor on another clock.* Give the \.mcap"):
         open_recording(tmp_path / "a.tlog", load_airframe("nadir-2m"))
     with pytest.raises(RecordingError, match="give its airframe"):
         open_recording(tmp_path / "a.tlog")

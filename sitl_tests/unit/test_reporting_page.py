@@ -21,7 +21,7 @@ from companion.reporting.blocks import (
     Picture,
     Table,
 )
-from companion.reporting.embedding import embed
+from companion.reporting.embedding import embed, embed_image
 from companion.reporting.page import numeric_columns, render
 from companion.reporting.plotting import new_figure
 
@@ -81,6 +81,12 @@ def test_columns_of_figures_are_set_right(cells: tuple[str, ...], numeric: bool)
 
 def test_a_table_without_rows_has_its_heads() -> None:
     assert "<th>a</th>" in render(Page("t", "h", [Table(["a", "b"], [])]))
+
+
+def test_a_figure_states_the_width_that_its_lettering_needs_and_a_photograph_none() -> None:
+    figure = render(Page("t", "h", [embed(new_figure(11, 2), "a figure")]))
+    assert 'style="--readable: 880px"' in figure
+    assert "style=" not in render(Page("t", "h", [embed_image(b"", "jpeg", "a view")]))
 
 
 def test_a_figure_becomes_an_image_inside_the_page() -> None:

@@ -13,10 +13,14 @@ from companion.adapters.recordings.mcap.container import MAGIC as MCAP_MAGIC
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tables.csv import CsvRecording
+from companion.adapters.recordings.tables.tables_readme import is_converted
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 
 _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
+
+_SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
+_MOST_NAMED = 5  # files of a folder, in a sentence
 
 
 def open_recording(path: Path | str, airframe: Airframe | None = None) -> Recording:
@@ -34,9 +38,12 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")
     if path.is_dir():
+        _check_folder(path)
         return CsvRecording(path, _needed(airframe, path))
     with path.open("rb") as file:
         head = file.read(16)
+    if not head:
+        raise RecordingError(f"{path}: is empty (0 bytes): nothing was recorded, or the copy failed")
     if head.startswith(MCAP_MAGIC):
         return McapRecording(path, airframe)
     if head.startswith(BIN_MAGIC):
@@ -46,6 +53,21 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
     if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
         return TlogRecording(path, _needed(airframe, path))
     raise RecordingError(f"{path}: not a recording that can be read; {_FORMATS}")
+
+
+def _check_folder(path: Path) -> None:
+    """Say what a folder without samples is, before an airframe is asked for."""
+    if (path / "accel.csv").exists() or any(path.glob("accel_*.csv")):
+        return
+    if is_converted(path):
+        raise RecordingError(
+            f"{path}: tables that spanwise convert wrote, no recording; give the recording that they are from"
+        )
+    names = [each.name for each in sorted(path.iterdir()) if each.suffix.lower() in _SUFFIXES and each.is_file()]
+    if names:
+        listed = ", ".join(names[:_MOST_NAMED]) + (", ..." if len(names) > _MOST_NAMED else "")
+        raise RecordingError(f"{path}: a folder with recordings; give one of them: {listed}")
+    raise RecordingError(f"{path}: no accel.csv in this folder, and no recording; {_FORMATS}")
 
 
 def _needed(airframe: Airframe | None, path: Path) -> Airframe:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from pathlib import Path
 from typing import Any
 
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
@@ -29,7 +31,13 @@ def work(task: FileTask) -> dict[str, Any]:
         The command refused the file; its sentence is the reason.
     """
     (task.folder / "pages").mkdir(parents=True, exist_ok=True)
-    return {"file": task.name} | (_report(task) if task.words[0] == "report" else _command(task))
+    row = _report(task) if task.words[0] == "report" else _command(task)
+    return {"file": task.name} | row | {"cut": _is_cut(task.path)}
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether the recorder did not finish the file, where its format tells."""
+    return path.suffix.lower() == ".mcap" and McapRecording(path).cut
 
 
 def _report(task: FileTask) -> dict[str, Any]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TypeVar
 
 from companion.evaluation.fleet.cluster import run_on_cluster
+from companion.evaluation.fleet.file_task import reason_alone
 from companion.evaluation.fleet.runner import Row, Task, run
 
 T = TypeVar("T", bound=Task)
@@ -33,14 +33,8 @@ def work_off(
     results = run_on_cluster(tasks, work, scheduler) if scheduler else run(tasks, work, workers)
     for task, row in results:
         rows[task.name] = row
-        what = _failure(task.name, str(row["failed"])) if row.get("failed") else describe(row)
+        failed = row.get("failed")
+        what = f"{task.name} failed: {reason_alone(task.name, str(failed))}" if failed else describe(row)
         took_s = time.monotonic() - began_s
         print(f"{len(rows)}/{len(tasks)}, {took_s:.0f} s: {what}", file=sys.stderr, flush=True)
     return [rows[task.name] for task in tasks]
-
-
-def _failure(name: str, reason: str) -> str:
-    """The sentence of a task that failed; most reasons begin with the name of the file already."""
-    for named in (name, Path(name).name):
-        reason = reason.removeprefix(f"{named}: ")
-    return f"{name} failed: {reason}"

@@ -41,3 +41,10 @@ def tasks_of(paths: Sequence[Path], words: tuple[str, ...], folder: Path) -> lis
     """Tasks of the files, each once, in the order of their names; a worker elsewhere reads the same places."""
     unique = sorted({path.resolve() for path in paths})
     return [FileTask(path, words, folder.resolve()) for path in unique]
+
+
+def reason_alone(name: str, reason: str) -> str:
+    """Reason of a failure without the file's name, with which most sentences of a refusal begin."""
+    for named in (name, Path(name).name):
+        reason = reason.removeprefix(f"{named}: ")
+    return reason

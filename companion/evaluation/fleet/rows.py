@@ -12,9 +12,9 @@ import numpy as np
 from companion.adapters.recordings.recording import Recording
 from companion.evaluation.flight_log import FlightLog
 from companion.evaluation.pages.flight_report import verdict
-from companion.records import Health, Station, Validity
+from companion.params.airframe import FAMILIES
+from companion.records import Station
 
-_VERDICTS = {"adequate": "usable", "unexplained": "often withheld", "not-identifiable": "nothing to judge"}
 _DEEPEST = 3  # levels of a nested result that become columns
 _MOST_TEXT = 160  # characters of a cell
 
@@ -23,22 +23,21 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
     """Figures of one flight that can be compared with another's."""
     judged = verdict(log)
     trusted = log.trusted()
-    tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
     row: dict[str, Any] = {
         "airframe": recording.airframe.name,
         "duration_s": round(log.info.duration_s, 1),
-        "verdict": _VERDICTS.get(judged.key, judged.key),
+        "verdict": judged.word,
         "ranges": len(log.ranges),
         "published": len(trusted),
         "sigma_ratio": _median([entry.sigma_m / entry.range_m for entry in trusted]),
-        "tracked_ratio": round(log.tracked_share(), 4),
-        "active_ratio": round(sum(each.health is Health.ACTIVE for each in log.status) / max(len(log.status), 1), 4),
+        "tracked_ratio": round(log.tracked_ratio(), 4),
+        "active_ratio": round(log.info.service.active_ratio, 4),
     }
-    for name in ("symmetric", "antisymmetric"):
-        modes = [getattr(mode, name) for mode in tracked]
-        row[f"{name}_hz"] = _median([mode.frequency_hz for mode in modes])
-        row[f"{name}_sigma_hz"] = _median([mode.frequency_sigma_hz for mode in modes])
-        row[f"{name}_rms_m"] = _median([mode.rms_m for mode in modes])
+    for name in FAMILIES:
+        mode = log.mode(name)
+        row[f"{name}_hz"] = None if mode is None else _rounded(mode.frequency_hz)
+        row[f"{name}_sigma_hz"] = None if mode is None else _rounded(mode.frequency_sigma_hz)
+        row[f"{name}_rms_m"] = None if mode is None else _rounded(mode.rms_m)
     for station in Station:
         stream = log.info.streams.get(station)
         rate_hz = None if stream is None else stream.rate_hz

@@ -72,14 +72,10 @@ _FIGURES = (*_MODES, *_DAMPINGS, *_RATES, *_NOISES)
 
 def findings(rows: Rows) -> list[str]:
     """All sentences: effects that recur, then drifts, then single flights; each kind's clearest first."""
-    by_aircraft: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-    for row in rows:
-        if row.get("airframe"):
-            by_aircraft[row["airframe"]].append(row)
     drifts: list[tuple[float, str]] = []
     singles: list[tuple[float, str]] = []
     recurring: list[tuple[float, str]] = []
-    for airframe, flights in by_aircraft.items():
+    for airframe, flights in _by_aircraft(rows).items():
         recurring += _recurring_effects(airframe, flights)
         for figure in _FIGURES:
             drift = _drift(airframe, flights, figure)
@@ -89,6 +85,33 @@ def findings(rows: Rows) -> list[str]:
                 singles += _outliers(airframe, flights, figure)
     texts = [text for kind in (recurring, drifts, singles) for _, text in sorted(kind, key=_clearest)]
     return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
+
+
+def unremarkable(rows: Rows) -> list[str]:
+    """For each airframe without a sentence of its own: from how many flights nothing was seen, or that they are few."""
+    said = findings(rows)
+    return [
+        f"{airframe}: {_nothing(len(flights))}"
+        for airframe, flights in _by_aircraft(rows).items()
+        if not any(sentence.startswith(f"{airframe}: ") for sentence in said)
+    ]
+
+
+def _nothing(flights: int) -> str:
+    if flights < _FEWEST:
+        return f"too few flights for a usual value ({flights}; {_FEWEST} are needed, {_THIRDS_FEWEST} for a drift)"
+    if flights < _THIRDS_FEWEST:
+        outlier = f"none of {flights} flights leaves their median by three sigma"
+        return f"{outlier}; too few for a drift ({_THIRDS_FEWEST} are needed)"
+    return f"nothing drifts over {flights} flights, and none leaves their median by three sigma"
+
+
+def _by_aircraft(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
+    flights: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for row in rows:
+        if row.get("airframe"):
+            flights[row["airframe"]].append(row)
+    return flights
 
 
 def _clearest(entry: tuple[float, str]) -> float:

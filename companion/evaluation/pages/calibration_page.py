@@ -18,6 +18,7 @@ from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_f
 Pairs = list[tuple[str, Bytes, Bytes]]
 _NAMES = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")
 _LEFT_TO_RIGHT = ("x", "y", "z")
+_WIDTH_IN = 12.0  # of the picture
 _SHOWN = 12  # images a page shows before it grows long
 _FAR_M = 60.0
 _MATCHING_PX = 0.2  # of one feature
@@ -48,7 +49,7 @@ def report(fit: RigFit, views: list[BoardView], pairs: Pairs, board: Board, advi
     body: list[Block] = [Advice("; ".join(advice)[:1].upper() + "; ".join(advice)[1:] + ".")] if advice else []
     body += [
         Heading("Coverage and residuals"),
-        embed_image(picture, "png", "coverage of both images, residuals of each view"),
+        embed_image(picture, "png", "coverage of both images, residuals of each view", width_in=_WIDTH_IN),
         Heading("Values"),
         Table(("", "value", "sigma", "camera"), rows(fit)),
     ]
@@ -82,7 +83,7 @@ def verdict(fit: RigFit) -> tuple[str, str]:
 
 
 def _figure(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> Any:
-    figure = new_figure(12, 8)
+    figure = new_figure(_WIDTH_IN, 8.0)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.3, 1.0))
     for column, side in enumerate(Side):
         axis = figure.add_subplot(grid[0, column])

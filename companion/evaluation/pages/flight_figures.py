@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from companion.evaluation.flight_log import FlightLog, Spectrum
-from companion.records import ClockName, Floats, ModeEstimate, ModeState, Station, Validity
+from companion.evaluation.recording_info import AT_THE_END
+from companion.params.airframe import FAMILIES
+from companion.records import ClockName, Floats, ModeEstimate, ModeState, Reject, Station
 from companion.reporting.plotting import (
     BLUE,
     GREEN,
@@ -63,11 +65,11 @@ def ranges(log: FlightLog, text: str) -> Any:
 
 
 def modes(log: FlightLog, text: str) -> Any:
-    """Frequency, damping and rms deflection of the first modes over time, each with its sigma as a band."""
+    """Frequency, damping and rms vibration of the first modes over time, each with its sigma as a band."""
     figure = _figure(6.2)
     headline(figure, text)
     frequency, damping, deflection = figure.subplots(3, 1, sharex=True)
-    tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
+    tracked = log.tracked()
     t_s = (np.array([mode.t_host_ns for mode in tracked]) - log.start_host_ns) * 1e-9
     for name, colour in (("symmetric", BLUE), ("antisymmetric", ORANGE)):
         family = [_family(mode, name) for mode in tracked]
@@ -76,7 +78,7 @@ def modes(log: FlightLog, text: str) -> Any:
         _band(deflection, t_s, family, ("rms_m", "amplitude_sigma_m"), _MM, colour, name)
     frequency.set(ylabel="frequency, Hz")
     damping.set(ylabel="damping ratio")
-    deflection.set(ylabel="rms deflection, mm", xlabel="time, s", ylim=(0.0, None))
+    deflection.set(ylabel="vibration, mm rms", xlabel="time, s", ylim=(0.0, None))
     damping.legend(fontsize=8, ncols=2, loc="best", title="first modes, ±1 sigma", title_fontsize=8)
     return figure
 
@@ -108,9 +110,10 @@ def spectra(log: FlightLog, by_station: Mapping[Station, Spectrum], text: str) -
         axis.loglog(spectrum.f_hz[shown], spectrum.density[shown], color=colour, lw=1.1, label=station.name.lower())
         for line_hz in spectrum.lines_hz():
             axis.axvline(line_hz, color=colour, lw=0.7, ls=":")
-    if log.modes:
-        both = sorted((_family(log.modes[-1], name).frequency_hz, name) for name in ("symmetric", "antisymmetric"))
-        for (mode_hz, name), align, offset in zip(both, ("right", "left"), (-4, 4), strict=True):
+    summaries = [(name, log.mode(name)) for name in FAMILIES]
+    tracked = sorted((mode.frequency_hz, name) for name, mode in summaries if mode is not None)
+    if tracked:
+        for (mode_hz, name), align, offset in zip(tracked, ("right", "left"), (-4, 4), strict=True):
             axis.axvline(mode_hz, color=INK, lw=1.0, ls="--" if name == "symmetric" else "-.")
             axis.annotate(
                 f"{name} {mode_hz:.2f} Hz", (mode_hz, 0.5), (offset, 0), fontsize=8, ha=align, va="center",
@@ -129,9 +132,23 @@ def triggers(log: FlightLog, text: str) -> Any:
     delays_us = _US * np.array(log.delays_s)
     delay.hist(np.clip(delays_us, *np.percentile(delays_us, (0.5, 99.5))) if len(delays_us) else [], 40, color=BLUE)
     delay.set(xlabel="fired after planned, µs (ends: 0.5 and 99.5 %)", ylabel="shots")
-    blur.hist(log.blur_px(), 40, color=ORANGE)
+    groups = blur_by_nearness(*log.blur_px())
+    colours = (SKY, ORANGE, GREY)[: len(groups)]
+    blur.hist(list(groups.values()), 40, color=colours, label=list(groups), stacked=True)
+    blur.legend(fontsize=8, title="scene by the last range", title_fontsize=8)
     blur.set(xlabel="predicted blur, px", ylabel="plans", xlim=(0.0, None))
     return figure
+
+
+def blur_by_nearness(blur_px: Floats, range_m: Floats) -> dict[str, Floats]:
+    """Blur of plans made far from the scene, near it, and before any range: that of the flight past it differs."""
+    ranged = np.isfinite(range_m)
+    if not ranged.any():
+        return {"no range yet": blur_px}
+    middle_m = float(np.sqrt(range_m[ranged].min() * range_m[ranged].max()))
+    far, near = ranged & (range_m > middle_m), ranged & (range_m <= middle_m)
+    groups = {f"beyond {middle_m:.0f} m": far, f"within {middle_m:.0f} m": near, "no range yet": ~ranged}
+    return {name: blur_px[group] for name, group in groups.items() if group.any()}
 
 
 def clocks(log: FlightLog, text: str) -> Any:
@@ -154,14 +171,14 @@ def clocks(log: FlightLog, text: str) -> Any:
 
 def refusals(log: FlightLog, text: str) -> Any:
     """Every refusal and every withheld range at its time, one row a reason."""
-    rows = _by_reason(log)
+    rows = refusals_by_reason(log)
     figure = _figure(0.9 + 0.28 * max(len(rows), 2))
     headline(figure, text)
     axis = figure.subplots()
-    for row, (reason, t_s) in enumerate(sorted(rows.items(), key=lambda entry: len(entry[1]))):
+    for row, (reason, (count, t_s)) in enumerate(sorted(rows.items(), key=lambda entry: entry[1][0])):
         axis.plot(t_s, np.full(len(t_s), row), "|", ms=9, color=VERMILLION)
         axis.annotate(
-            f"{reason} ({len(t_s)})", (0.0, row), (-6, 0), fontsize=8, xycoords=("axes fraction", "data"),
+            f"{reason} ({count})", (0.0, row), (-6, 0), fontsize=8, xycoords=("axes fraction", "data"),
             textcoords="offset points", ha="right", va="center",
         )  # fmt: skip
     axis.set(xlabel="time, s", ylim=(-0.6, max(len(rows), 1) - 0.4))
@@ -169,11 +186,18 @@ def refusals(log: FlightLog, text: str) -> Any:
     return figure
 
 
-def _by_reason(log: FlightLog) -> dict[str, list[float]]:
-    rows: dict[str, list[float]] = defaultdict(list)
+def refusals_by_reason(log: FlightLog) -> dict[str, tuple[int, list[float]]]:
+    """Count of what was refused, and the times of the messages that say so."""
+    counts: Counter[str] = Counter()
+    times: dict[str, list[float]] = defaultdict(list)
     for refusal in log.refused:
-        rows[str(refusal.reason)].append((refusal.at_host_ns - log.start_host_ns) * 1e-9)
+        ended = refusal.reason is Reject.STALE and log.info.service.is_end(refusal.at_host_ns)
+        reason = AT_THE_END if ended else str(refusal.reason)
+        counts[reason] += refusal.count
+        times[reason].append((refusal.at_host_ns - log.start_host_ns) * 1e-9)
     for entry in log.ranges:
         if not entry.trusted:
-            rows[f"range withheld: {entry.reject}"].append((entry.t_host_ns - log.start_host_ns) * 1e-9)
-    return rows
+            reason = f"range withheld: {entry.reject}"
+            counts[reason] += 1
+            times[reason].append((entry.t_host_ns - log.start_host_ns) * 1e-9)
+    return {reason: (counts[reason], t_s) for reason, t_s in times.items()}

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.evaluation.flight_log import SPECTRUM_SEGMENT_S, FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
+from companion.evaluation.published_ranges import PublishedRanges
 from companion.evaluation.recording_info import stream_line
 from companion.params.airframe import FAMILIES, Wing
 from companion.params.settings import Settings
-from companion.records import Health, Station, Validity
+from companion.records import Station
 from companion.reporting import page
 from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
@@ -21,42 +23,76 @@ from companion.reporting.embedding import embed
 _USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
 _MODE_SIGMAS = 2.0  # so near the belief, a line may be a higher mode's (choice)
 _LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it
+_LONG_WARM_UP_S = 30.0  # the service itself complains of a tracker that takes longer
+_GRADES = {"usable": "good", "late": "fair", "with long silences": "poor", "often withheld": "poor"}
+_VIBRATION = (
+    "Vibration is the tip's swing at the mode's own frequency. The slow bend by gusts, load and trim is not in it; the "
+    "rms by which gusts bend the demo's wing has that too, and is larger."
+)
+_BLUR = (
+    "Predicted blur is the image's motion in one exposure by all that moves: the bending wing, the aircraft's turning, "
+    "and its flight past the scene, which is most of it near the ground and is not counted before the first range. "
+    "The blur that spanwise demo states is the wing's alone."
+)
+_REFUSED = "In brackets how many were refused or withheld; a mark is a message, which may stand for many samples."
+_WITHOUT_FIGURES = "nothing to judge"
 
 
 @dataclass(frozen=True, slots=True)
 class FlightVerdict:
-    """Whether the flight's ranges could be trusted: a colour key of the page, a headline, and the reasons."""
+    """Whether the flight's ranges could be trusted: in a word, as the headline says it, and with the reasons."""
 
-    key: str
+    word: str
     headline: str
     reasons: tuple[str, ...]
+
+    @property
+    def grade(self) -> str:
+        """Class of the style sheet that colours the page's headline."""
+        return _GRADES.get(self.word, "fair")
 
 
 def verdict(log: FlightLog) -> FlightVerdict:
     """Judge a flight by what it recorded itself; no truth is known."""
     total, published = len(log.ranges), log.trusted()
     if not log.modes:
-        return FlightVerdict("not-identifiable", "No wing was tracked: nothing can be said of ranges", ())
+        return FlightVerdict(_WITHOUT_FIGURES, "No wing was tracked: nothing can be said of ranges", ())
     if not total:
-        return FlightVerdict("not-identifiable", "No range was measured: the cameras gave no matched pair", ())
-    published_ratio = len(published) / total
-    headline = f"{len(published)} of {total} ranges were published ({100 * published_ratio:.0f} %)"
+        return FlightVerdict(_WITHOUT_FIGURES, "No range was measured: the cameras gave no matched pair", ())
+    word = _word(log, len(published) / total)
+    headline = f"{word.capitalize()}: {len(published)} of {total} ranges were published"
+    headline += f" ({100 * len(published) / total:.0f} %)"
     if published:
         relative = np.median([entry.sigma_m / entry.range_m for entry in published])
         headline += f", median sigma {100 * relative:.1f} % of the range"
     reasons = tuple(f"{count} withheld: {reason}" for reason, count in log.withheld().most_common())
-    silence_s = log.longest_silence_s()
-    reasons += (f"longest time without a range {silence_s:.1f} s",) if published else ()
-    key = "adequate" if published_ratio >= _USABLE_SHARE and silence_s < _LONG_SILENCE_S else "unexplained"
-    return FlightVerdict(key, headline, reasons)
+    return FlightVerdict(word, headline, reasons + _waits(log.published))
+
+
+def _word(log: FlightLog, published_ratio: float) -> str:
+    if published_ratio < _USABLE_SHARE:
+        return "often withheld"
+    if log.published.longest_silence_s >= _LONG_SILENCE_S:
+        return "with long silences"
+    return "late" if (log.published.first_s or 0.0) >= _LONG_WARM_UP_S else "usable"
+
+
+def _waits(published: PublishedRanges) -> tuple[str, ...]:
+    """How long no range came: before the first, and at the longest after it."""
+    if published.first_s is None:
+        return ()
+    begin = "lift-off" if published.lifted_off else "the recording's begin"
+    first = f"first range published {published.first_s:.1f} s after {begin} (the wing is learned before)"
+    return first, f"after it, the longest time without a range was {published.longest_silence_s:.1f} s"
 
 
 def render(recording: Recording, log: FlightLog) -> str:
     """The page as HTML, with every picture inside."""
     judged = verdict(log)
     what = f"{recording.path.name}, airframe {recording.airframe.name}, {log.info.duration_s:.0f} s of flight"
+    what += ", cut off while recording" if isinstance(recording, McapRecording) and recording.cut else ""
     body = list(_body(recording, log, judged))
-    return page.render(Page(f"Flight: {judged.key}", judged.headline, body, subject=what, grade=judged.key))
+    return page.render(Page(f"Flight: {judged.word}", judged.headline, body, subject=what, grade=judged.grade))
 
 
 def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterator[Block]:
@@ -72,16 +108,15 @@ def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterat
     notes = list(dict.fromkeys(notice.text for notice in [*log.notices, *recording.notices]))
     if notes:
         yield Table(("said during the flight, or of the file",), [(note,) for note in notes])
-    yield Table(("setting that differs from its default", "value", "default"), _changed(recording.settings))
+    yield _changed(recording.settings)
     yield Advice(f"What the model of the wing gets wrong on this flight: spanwise diagnose {recording.path.name}")
 
 
 def _answers(log: FlightLog, judged: FlightVerdict) -> Iterator[tuple[str, str]]:
     yield "Why not all ranges?", "; ".join(judged.reasons) or "none was withheld"
-    yield "Was the wing tracked?", f"{100 * log.tracked_share():.0f} % of the time; {_modes_sentence(log)}"
+    yield "Was the wing tracked?", f"{100 * log.tracked_ratio():.0f} % of the time; {_modes_sentence(log)}"
     yield "What is the correction worth?", _rigid_sentence(log)
-    active = sum(status.health is Health.ACTIVE for status in log.status) / max(len(log.status), 1)
-    yield "Was the service well?", f"ACTIVE {100 * active:.0f} % of the time" if log.status else "no status recorded"
+    yield "Was the service well?", log.info.service.answer()
 
 
 def _rigid_sentence(log: FlightLog) -> str:
@@ -96,14 +131,14 @@ def _rigid_sentence(log: FlightLog) -> str:
 
 
 def _modes_sentence(log: FlightLog) -> str:
-    tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
-    if not tracked:
-        return "no mode was identified"
-    last = tracked[-1]
-    return ", ".join(
-        f"{name} {mode.frequency_hz:.2f} ±{mode.frequency_sigma_hz:.2f} Hz, rms {1e3 * mode.rms_m:.1f} mm"
-        for name, mode in (("symmetric", last.symmetric), ("antisymmetric", last.antisymmetric))
+    """First modes as medians of the flight, as the fleet's table has them."""
+    summaries = [(name, log.mode(name)) for name in FAMILIES]
+    text = ", ".join(
+        f"{name} {mode.frequency_hz:.2f} ±{mode.frequency_sigma_hz:.2f} Hz vibrating by {1e3 * mode.rms_m:.1f} mm rms"
+        for name, mode in summaries
+        if mode is not None
     )
+    return f"{text} (medians)" if text else "no mode was identified"
 
 
 def _ranges(log: FlightLog) -> Iterator[Block]:
@@ -117,7 +152,7 @@ def _wing(log: FlightLog, wing: Wing) -> Iterator[Block]:
     if not log.modes:
         return
     yield Heading("Wing")
-    yield embed(figures.modes(log, _modes_sentence(log)), "modes over time")
+    yield embed(figures.modes(log, _modes_sentence(log)), "modes over time", _VIBRATION)
     if log.info.streams:
         candidates = {station: log.spectrum(station) for station in Station}
         spectra = {station: spectrum for station, spectrum in candidates.items() if spectrum is not None}
@@ -152,7 +187,7 @@ def _higher_mode(line_hz: float, wing: Wing) -> str:
 
 
 def _triggers(log: FlightLog) -> Iterator[Block]:
-    outcomes = log.outcomes.counts()
+    outcomes = log.plan_outcomes()
     if not outcomes:
         return
     yield Heading("Triggers")
@@ -160,7 +195,7 @@ def _triggers(log: FlightLog) -> Iterator[Block]:
     if log.delays_s:
         median_us, late_us = 1e6 * np.percentile(log.delays_s, (50, 99))
         text = f"{len(log.delays_s)} shots, fired {median_us:.0f} µs after plan (median), {late_us:.0f} µs (99 %)"
-        yield embed(figures.triggers(log, text), "trigger delay and predicted blur")
+        yield embed(figures.triggers(log, text), "trigger delay and predicted blur", _BLUR)
 
 
 def _clocks(log: FlightLog) -> Iterator[Block]:
@@ -176,11 +211,13 @@ def _refusals(log: FlightLog) -> Iterator[Block]:
     if log.refused or withheld:
         yield Heading("Refusals")
         count = sum(refusal.count for refusal in log.refused)
-        text = f"{count} records refused, {withheld} ranges withheld"
-        yield embed(figures.refusals(log, text), "refusals over time by reason")
+        text = f"{count} samples and other records refused, {withheld} ranges withheld"
+        yield embed(figures.refusals(log, text), "refusals over time by reason", _REFUSED)
 
 
-def _changed(settings: Settings) -> list[tuple[str, str, str]]:
+def _changed(settings: Settings) -> Block:
     default = Settings().values()
     changed = [(name, f"{value:g}", f"{default[name]:g}") for name, value in settings.changed().items()]
-    return changed or [("none", "", "")]
+    if not changed:
+        return Paragraph("All settings had their defaults.")
+    return Table(("setting that differs from its default", "value", "default"), changed)

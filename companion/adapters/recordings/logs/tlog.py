@@ -51,8 +51,10 @@ class TlogRecording(LoggedRecording):
         foreign = [s.name.lower() for s in Station if airframe.sensor(s).source.clock is not ClockName.BOOT]
         if foreign:
             raise RecordingError(
-                f"{path}: a tlog is replayed in the autopilot's clock, but airframe '{airframe.name}' has "
-                f"{' and '.join(foreign)} on a clock of its own; record with Spanwise, or use sitl-plane"
+                f"{path}: a telemetry log has the autopilot's clock alone, and airframe '{airframe.name}' has the "
+                f"{' and '.join(foreign)} sensor on another clock: its samples cannot be put in time. Give the .mcap "
+                "that Spanwise recorded on this flight; or, where the autopilot's own sensors are meant, an airframe "
+                "with nothing but them, such as --airframe sitl-plane"
             )
         if next(self.chunks(), None) is None:
             raise RecordingError(f"{path}: no MAVLink frame with a receive time in it: not a tlog, or empty")

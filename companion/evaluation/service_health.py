@@ -1,0 +1,93 @@
+"""Health of the service over a recording: how long it was active, since when, and how it was with the last samples."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from companion.records import Health, ImuBatch, ServiceStatus
+
+_END_S = 3.0  # a recorder that is stopped after the sensors writes on for so long: a flight's end, no fault (choice)
+_MOSTLY = 0.9  # of the time after the first active status (choice)
+
+
+@dataclass(slots=True)
+class ServiceHealth:
+    """Statuses in the order of time, one a second, and when the last sample was received, on the host's clock."""
+
+    statuses: list[ServiceStatus] = field(default_factory=list)
+    last_sample_ns: int = 0
+
+    def take(self, record: object) -> None:
+        """Look at a record of any kind."""
+        if isinstance(record, ServiceStatus):
+            self.statuses.append(record)
+        elif isinstance(record, ImuBatch) and record.t_ns.size:
+            self.last_sample_ns = max(self.last_sample_ns, record.received_host_ns)
+
+    @property
+    def silence_s(self) -> float:
+        """Time from the last sample to the last status, where that is longer than a flight's end; else 0."""
+        if not self.statuses or not self.last_sample_ns:
+            return 0.0
+        silence_s = (self.statuses[-1].at_host_ns - self.last_sample_ns) * 1e-9
+        return silence_s if silence_s > _END_S else 0.0
+
+    def is_end(self, at_host_ns: int) -> bool:
+        """Whether this was after the last sample, in the moment that ends every recording."""
+        return 0 < self.last_sample_ns < at_host_ns and not self.silence_s
+
+    def flown(self) -> list[ServiceStatus]:
+        """Statuses that are not of the end: the streams had not been stopped yet."""
+        return [status for status in self.statuses if not self.is_end(status.at_host_ns)] or self.statuses
+
+    @property
+    def active_ratio(self) -> float:
+        """Share of the flight's statuses that were active; 0 without any."""
+        flown = self.flown()
+        return sum(status.health is Health.ACTIVE for status in flown) / max(len(flown), 1)
+
+    @property
+    def first_active_s(self) -> float | None:
+        """Time from the first status to the first active one."""
+        active_ns = [status.at_host_ns for status in self.statuses if status.health is Health.ACTIVE]
+        return (active_ns[0] - self.statuses[0].at_host_ns) * 1e-9 if active_ns else None
+
+    def summary(self) -> str:
+        """How long it was active and how it was with the last samples, in a line; empty without statuses."""
+        if not self.statuses:
+            return ""
+        state = f"with the last samples {_state(self.flown()[-1])}"
+        if self.silence_s:
+            state = f"no samples in the last {self.silence_s:.1f} s: {_state(self.statuses[-1])}"
+        first_s = self.first_active_s
+        if first_s is None:
+            return f"never active; {state}"
+        return f"active {100 * self.active_ratio:.0f} % of the time, first after {first_s:.1f} s; {state}"
+
+    def answer(self) -> str:
+        """Whether it was well, in a sentence that says what the warm-up has to do with its figure."""
+        if not self.statuses:
+            return "no status recorded"
+        first_s = self.first_active_s
+        if first_s is None:
+            return f"no: it was never active; {self.summary().partition('; ')[2]}"
+        text = f"{self._since_first()} after a warm-up of {first_s:.0f} s (clocks and wing are learned)"
+        text += f"; no samples came in the last {self.silence_s:.0f} s" if self.silence_s else ""
+        return f"{text}. With the warm-up, active {100 * self.active_ratio:.0f} % of the time"
+
+    def _since_first(self) -> str:
+        """How it was from the first active status on, with the most frequent states of the rest."""
+        flown = self.flown()
+        begun = flown[next(i for i, status in enumerate(flown) if status.health is Health.ACTIVE) :]
+        others = Counter(_state(status) for status in begun if status.health is not Health.ACTIVE)
+        if not others:
+            return "yes: active without a break"
+        ratio = 1.0 - others.total() / len(begun)
+        rest = ", ".join(f"{state} ({count} s)" for state, count in others.most_common(2))
+        word = "mostly" if ratio >= _MOSTLY else "not always"
+        return f"{word}: active {100 * ratio:.0f} % of the time (else {rest})"
+
+
+def _state(status: ServiceStatus) -> str:
+    return f"{status.health}: {status.reason}" if status.reason else str(status.health)
