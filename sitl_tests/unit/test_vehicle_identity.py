@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -128,8 +129,9 @@ def test_load_memory_and_temperature_are_what_the_machine_says(tmp_path: Path) -
     assert back.storage_total[0] >= back.storage_usage[0] > 0
 
 
-def test_a_machine_that_tells_nothing_gives_unknowns(tmp_path: Path) -> None:
-    message = OnboardComputerStatus(tmp_path / "nothing").due(S)
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_machine_that_tells_nothing_gives_unknowns(tmp_path: Path, *, simulated: bool) -> None:
+    message = OnboardComputerStatus(None if simulated else tmp_path / "nothing").due(S)
     assert message is not None
     assert set(message.cpu_cores) == {255}
     assert (message.ram_usage, message.ram_total) == (0xFFFFFFFF, 0xFFFFFFFF)

@@ -10,6 +10,9 @@ import time
 from collections import deque
 from typing import Any, Self
 
+from companion.adapters.mavlink.component.component import OnboardComponent
+from companion.adapters.mavlink.component.onboard_computer_status import OnboardComputerStatus
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.mcap.writer import About, McapWriter
@@ -170,7 +173,8 @@ class LockStepService:
         self._ends_s = flight.duration_s + _AFTER_S
         self._began_s: float | None = None
         link = Link(0, "lock-step", wire, self.clock)
-        autopilot = MavlinkAutopilot([link], config.airframe, config.settings, self.clock)
+        component = OnboardComponent(ParameterServer(config.settings), computer=OnboardComputerStatus(root=None))
+        autopilot = MavlinkAutopilot([link], config.airframe, config.settings, self.clock, component=component)
         recorder: Recorder = _Unrecorded()
         if config.recording is not None:
             recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))

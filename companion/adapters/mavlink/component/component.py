@@ -23,7 +23,9 @@ _MOST_NOTICES = 16  # bound of memory
 class OnboardComponent:
     """Services of a MAVLink component beside its work: takes received messages, and yields the ones that are due."""
 
-    def __init__(self, parameters: ParameterServer, signing: Signing | None = None) -> None:
+    def __init__(
+        self, parameters: ParameterServer, signing: Signing | None = None, computer: OnboardComputerStatus | None = None
+    ) -> None:
         self.parameters = parameters
         self.signing = signing
         self.identity = IdConflictDetector()
@@ -32,7 +34,7 @@ class OnboardComponent:
         files = metadata_files(component)
         self.files = FileServer(files, component)
         self.commands = CommandServer(component, files[GENERAL_FILE])
-        self._computer = OnboardComputerStatus()
+        self._computer = OnboardComputerStatus() if computer is None else computer
         self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
 
     def hear(self, heard: Heard, system: int) -> None:

@@ -19,10 +19,11 @@ _CORES = 8  # length of cpu_cores (MAVLink common.xml)
 class OnboardComputerStatus:
     """Makes the message once a second. What this machine does not tell is sent as unknown.
 
-    ``root`` is the folder that holds ``proc`` and ``sys``.
+    ``root`` is the folder that holds ``proc`` and ``sys``; None for a computer that is only simulated, whose state is
+    not this machine's.
     """
 
-    def __init__(self, root: Path = Path("/")) -> None:
+    def __init__(self, root: Path | None = Path("/")) -> None:
         self._root = root
         self._limiter = RateLimiter(_PERIOD_NS)
         self._times: dict[str, tuple[int, int]] = {}
@@ -84,6 +85,8 @@ class OnboardComputerStatus:
         return (total - free) // 1024, total // 1024
 
     def _disk_mib(self) -> tuple[int, int]:
+        if self._root is None:
+            return _UNKNOWN_32, _UNKNOWN_32
         try:
             disk = os.statvfs(self._root)
         except OSError:
@@ -99,6 +102,8 @@ class OnboardComputerStatus:
             return _UNKNOWN_TEMPERATURE
 
     def _lines(self, name: str) -> list[str]:
+        if self._root is None:
+            return []
         try:
             return (self._root / name).read_text(encoding="ascii", errors="replace").splitlines()
         except OSError:
