@@ -35,6 +35,7 @@ from companion.records import (
 )
 from companion.units import Severity
 
+_CONFIRMING_FLOW = 40  # features; fewer tell little of one pair's toe (choice; over fields there are 160)
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
@@ -129,7 +130,7 @@ class Correction:
         if self.drift_filter.verdict is not MatchVerdict.AGREE or self.drift_filter.flow_contradicts:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
-        judged = self._judged(withheld(answer.range, reason), lasting_m, toe_confirmed=turned.flow > 0)
+        judged = self._judged(withheld(answer.range, reason), lasting_m, toe_confirmed=turned.flow >= _CONFIRMING_FLOW)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
