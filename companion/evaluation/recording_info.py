@@ -153,7 +153,7 @@ def _uses(recording: Recording, info: RecordingInfo) -> str:
     """Commands that can use the recording, and what each would give; none of them has been run."""
     if not info.streams:
         return "nothing to replay or to diagnose: no inertial samples"
-    replay = "as it was published" if recording.replayable else "anew, not as it was published"
+    replay = "as published" if recording.replayable else "anew, not as published"
     text = f"can be used for: spanwise replay (estimates {replay})"
     missing = _missing(info.streams)
     if missing:

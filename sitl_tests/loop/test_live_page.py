@@ -176,7 +176,7 @@ def test_the_page_shows_the_flight(flight: Flight, screen: str, tmp_path: Path) 
         assert "node_left clock restarted" in text(browser, "#events")
         assert "7 checksum wrong" in text(browser, "#refusals")
         assert "nearest 33.5 m" in text(browser, "#sectors-word")
-        assert text(browser, "#link") == "live"
+        browser.until("document.getElementById('link').textContent === 'live'")
         browser.until("document.querySelector('#clocks').textContent.includes('0.40 ms')")
         browser.until("document.querySelectorAll('#phase g circle').length > 5")
         browser.until("document.querySelector('#range-chart path[stroke-width=\"2\"]').getAttribute('d').length > 20")

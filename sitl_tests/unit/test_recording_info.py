@@ -64,7 +64,7 @@ def test_the_screen_names_what_is_there_and_what_was_changed(
     assert "left  1700 samples of xyz at 1000.0 Hz, 1 gap, 0.30 s together" in screen
     assert "7 clock not synced" in screen
     assert "RNG_MATCHES 20" in screen
-    assert "can be used for: spanwise replay (estimates as it was published), spanwise diagnose" in screen
+    assert "can be used for: spanwise replay (estimates as published), spanwise diagnose" in screen
     assert max(map(len, screen.splitlines())) < 200
     assert len(screen.splitlines()) < 25
 
