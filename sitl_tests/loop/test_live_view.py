@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import socket
 import struct
@@ -17,6 +18,7 @@ pytest.importorskip("foxglove", reason="the extra live is not installed")
 
 from companion.adapters.recordings.mcap.messages import message_of
 from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.cli.steps.live_view import read_live
 from companion.errors import ConfigError
 from companion.live.config import LiveConfig
 from companion.live.door import listen
@@ -290,6 +292,15 @@ def test_a_client_that_never_reads_delays_nobody_else(view: View) -> None:
 def test_a_taken_port_is_told_before_anything_starts(view: View, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="in use"):
         listen(LiveConfig("127.0.0.1", view.port, None, tmp_path))
+
+
+def test_no_address_is_said_that_somebody_else_serves(
+    view: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with pytest.raises(ConfigError, match="in use"):
+        read_live(argparse.Namespace(live=f"127.0.0.1:{view.port}"), tmp_path / "flight.mcap")
+    assert capsys.readouterr().err == ""
 
 
 def test_a_websocket_s_frames_come_through_whole(view: View) -> None:

@@ -32,6 +32,7 @@ def read_live(options: argparse.Namespace, recording: Path | None) -> LiveConfig
     require_live()
     folder = state_file("recordings") if recording is None else recording.resolve().parent
     config = live_config(options.live, folder, state_file("live-token"))
+    listen(config).close()  # a taken port is told before an address that nobody serves
     say_where(config)
     return config
 
