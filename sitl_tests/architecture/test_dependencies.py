@@ -12,7 +12,19 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-OPTIONAL = ("depthai", "gpiod", "mavsdk", "matplotlib", "jinja2", "rich", "foxglove", "distributed", "dask", "pyarrow")
+OPTIONAL = (
+    "depthai",
+    "gpiod",
+    "mavsdk",
+    "matplotlib",
+    "jinja2",
+    "rich",
+    "foxglove",
+    "psutil",
+    "distributed",
+    "dask",
+    "pyarrow",
+)
 # a finder ahead of all others stands for an installation of the base alone
 BASE_ALONE = f"""
 import importlib, pkgutil, sys

@@ -68,7 +68,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     # the live view: the recordings' topics and schemas over a websocket; the SDK comes with an extra
     "companion.live": (
         frozenset({"live", "adapters.recordings", "params", "records", "errors"}),
-        frozenset({"foxglove"}),
+        frozenset({"foxglove", "psutil"}),
     ),
     "companion.service": (
         frozenset(
