@@ -9,6 +9,7 @@ import argparse
 import os
 from pathlib import Path
 
+from companion.adapters.recordings.recording_factory import SUFFIXES, is_recording_file
 from companion.cli.steps.fleet_tasks import NO_PAGES, work
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import make_folder
@@ -24,7 +25,6 @@ from companion.evaluation.fleet.trends import findings, unremarkable
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
-_SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
 SOME_FAILED = 1  # exit code of bad input: a script notices, table and page of the other files are written
 _MOST_WORKERS = 256  # more than any machine has use for
 
@@ -91,11 +91,11 @@ def _files(logs: list[Path]) -> list[Path]:
             raise ConfigError(f"{path}: no such file or folder")
         is_table = path.is_dir() and (path / "accel.csv").exists()
         if path.is_dir() and not is_table:
-            files += sorted(each for each in path.rglob("*") if each.suffix.lower() in _SUFFIXES and each.is_file())
+            files += sorted(filter(is_recording_file, path.rglob("*")))
         else:
             files.append(path)
     if not files:
-        raise ConfigError(f"no recording ({', '.join(_SUFFIXES)}) in {', '.join(map(str, logs))}")
+        raise ConfigError(f"no recording ({', '.join(SUFFIXES)}) in {', '.join(map(str, logs))}")
     return files
 
 

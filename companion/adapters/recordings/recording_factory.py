@@ -18,8 +18,8 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 
 _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
-
-_SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
+SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
+"""Endings of recordings that are a file, in lower case."""
 _MOST_NAMED = 5  # files of a folder, in a sentence
 
 
@@ -55,6 +55,11 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
     raise RecordingError(f"{path}: not a recording that can be read; {_FORMATS}")
 
 
+def is_recording_file(path: Path) -> bool:
+    """Whether a path is a file that ends as a recording does."""
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
 def _check_folder(path: Path) -> None:
     """Say what a folder without samples is, before an airframe is asked for."""
     if (path / "accel.csv").exists() or any(path.glob("accel_*.csv")):
@@ -63,7 +68,7 @@ def _check_folder(path: Path) -> None:
         raise RecordingError(
             f"{path}: tables that spanwise convert wrote, no recording; give the recording that they are from"
         )
-    names = [each.name for each in sorted(path.iterdir()) if each.suffix.lower() in _SUFFIXES and each.is_file()]
+    names = [each.name for each in sorted(path.iterdir()) if is_recording_file(each)]
     if names:
         listed = ", ".join(names[:_MOST_NAMED]) + (", ..." if len(names) > _MOST_NAMED else "")
         raise RecordingError(f"{path}: a folder with recordings; give one of them: {listed}")
