@@ -14,6 +14,7 @@ import pytest
 
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
+from companion.cli.steps import fleet_tasks
 from companion.errors import RecordingError
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.file_task import FileTask, tasks_of
@@ -291,3 +292,15 @@ def test_the_command_writes_table_page_and_parts(tmp_path: Path, capsys: pytest.
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
     assert main(["fleet", "report", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+
+
+def test_a_file_is_tuned_by_the_worker_that_has_it_and_by_no_pool_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr(fleet_tasks, "main", lambda words: asked.append(words) or 3)  # type: ignore[func-returns-value]
+    (tmp_path / "flight.mcap").touch()
+    monkeypatch.setattr(fleet_tasks, "_is_cut", lambda _path: False)
+    (task,) = tasks_of([tmp_path / "flight.mcap"], ("tune",), tmp_path)
+    fleet_tasks.work(task)
+    assert asked[0][asked[0].index("--workers") + 1] == "1"

@@ -96,6 +96,6 @@ def _ending(task: FileTask) -> list[str]:
     if task.words[0] == "identify":
         return ["--out", str(task.folder / "pages" / task.key)]
     if task.words[0] == "tune":
-        return ["--json"]
+        return ["--json", "--workers", "1"]  # a file is a worker's: the others have files of their own
     page = ["--html", str(task.folder / "pages" / f"{task.key}.html")]
     return ["--json", "-", *([] if NO_PAGES in task.words else page)]
