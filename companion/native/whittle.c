@@ -48,6 +48,7 @@ typedef struct {
     int64_t modes, parameters;
     double reference_hz, at_reference, inverse_1, inverse_2;
     double values[MOST_PARAMETERS], coherence[MOST_MODES], ratio[MOST_MODES];
+    double load_slope[MOST_MODES][2]; /* of a load, where it is stated, by either corner */
 } family;
 
 /* Place of a mode's frequency; its damping and load follow. */
@@ -76,11 +77,21 @@ static void describe(const double *log_params, int64_t count, double reference_h
         for (int64_t which = CORNER_1; which <= CORNER_2; which++)
             f->ratio[k] *= (squared(v[which]) + own) / (squared(v[which]) + first);
     }
+    for (int64_t k = 0; k < f->modes; k++) {
+        double stated = squared(k == 0 ? reference_hz : v[place_of(k)]);
+        for (int which = 0; which < 2; which++)
+            f->load_slope[k][which] = 2.0 * stated / (squared(v[CORNER_1 + which]) + stated);
+    }
 }
 
-/* Density by each mode alone, and what its pairs need, at one squared frequency. */
+/* Points of the grid that are worked on at once: loops over them are done by the processor's vectors. */
+enum { BLOCK = 32 };
+
+typedef double lane[BLOCK];
+
+/* Density by each mode alone, and what its pairs need, at some squared frequencies. */
 typedef struct {
-    double load, alone[MOST_MODES], apart[MOST_MODES], size[MOST_MODES], resisted[MOST_MODES];
+    lane load, alone[MOST_MODES], apart[MOST_MODES], size[MOST_MODES], resisted[MOST_MODES];
 } terms;
 
 static double resisted(const double *v, int64_t at, int64_t other)
@@ -88,98 +99,122 @@ static double resisted(const double *v, int64_t at, int64_t other)
     return 4.0 * v[at + DAMPING] * v[other + DAMPING] * v[at] * v[other];
 }
 
-static void find_terms(const family *f, double square, double gain, terms *t)
+static void find_terms(const family *f, const double *restrict square, const double *restrict gain, int count,
+                       terms *restrict t)
 {
     const double *v = f->values;
-    double shape = (1.0 + square * f->inverse_1) * (1.0 + square * f->inverse_2);
-    t->load = gain * (v[LOAD] * f->at_reference / shape);
+    double inverse_1 = f->inverse_1, inverse_2 = f->inverse_2, stated = v[LOAD] * f->at_reference;
+    for (int i = 0; i < count; i++)
+        t->load[i] = gain[i] * (stated / ((1.0 + square[i] * inverse_1) * (1.0 + square[i] * inverse_2)));
     for (int64_t k = 0; k < f->modes; k++) {
         int64_t at = place_of(k);
-        t->apart[k] = squared(v[at]) - square;
-        t->resisted[k] = resisted(v, at, at) * square;
-        t->size[k] = square / (squared(t->apart[k]) + t->resisted[k]);
-        t->alone[k] = t->load * f->ratio[k] * t->size[k] * square;
+        double own = squared(v[at]), resistance = resisted(v, at, at), ratio = f->ratio[k];
+        for (int i = 0; i < count; i++) {
+            t->apart[k][i] = own - square[i];
+            t->resisted[k][i] = resistance * square[i];
+            t->size[k][i] = square[i] / (squared(t->apart[k][i]) + t->resisted[k][i]);
+            t->alone[k][i] = t->load[i] * ratio * t->size[k][i] * square[i];
+        }
     }
 }
 
 /* Density by a pair under fully coherent loads, over a_j a_k + b_j b_k; and this factor. */
-static double common_of(const family *f, const terms *t, int64_t j, int64_t k, double square, double *factor)
+static void find_common(const family *f, const terms *restrict t, int64_t j, int64_t k, const double *restrict square,
+                        int count, double *restrict common, double *restrict factor)
 {
-    *factor = t->apart[j] * t->apart[k] + resisted(f->values, place_of(j), place_of(k)) * square;
-    return 2.0 * t->load * sqrt(f->ratio[j] * f->ratio[k]) * t->size[j] * t->size[k];
+    double resistance = resisted(f->values, place_of(j), place_of(k)), ratio = sqrt(f->ratio[j] * f->ratio[k]);
+    for (int i = 0; i < count; i++) {
+        factor[i] = t->apart[j][i] * t->apart[k][i] + resistance * square[i];
+        common[i] = 2.0 * t->load[i] * ratio * t->size[j][i] * t->size[k][i];
+    }
 }
 
-static double density_at(const family *f, double square, double gain)
+/* Densities at some points. */
+static void find_density(const family *f, const double *restrict square, const double *restrict gain, int count,
+                         double *restrict out)
 {
     terms t;
-    find_terms(f, square, gain, &t);
-    double density = 0.0, factor;
+    lane common, factor;
+    find_terms(f, square, gain, count, &t);
+    for (int i = 0; i < count; i++)
+        out[i] = 0.0;
     for (int64_t k = 0; k < f->modes; k++)
-        density += t.alone[k];
+        add_scaled(out, t.alone[k], 1.0, count);
     for (int64_t k = 0; k < f->modes; k++)
         for (int64_t j = 0; j < k; j++) {
-            double common = common_of(f, &t, j, k, square, &factor);
-            density += f->coherence[j] * f->coherence[k] * (common * factor);
+            double both = f->coherence[j] * f->coherence[k];
+            find_common(f, &t, j, k, square, count, common, factor);
+            for (int i = 0; i < count; i++)
+                out[i] += both * (common[i] * factor[i]);
         }
-    return density;
 }
 
 /* Derivatives through the pairs: in `by` what goes through a_j a_k + b_j b_k and the coherences, in `shared` the sum of
- * each mode's joint densities; the density of all pairs. */
-static double add_pairs(const family *f, const terms *t, double square, double *by, double *shared)
+ * each mode's joint densities; the density of all pairs is added to `density`. */
+static void add_pairs(const family *f, const terms *restrict t, const double *restrict square, int count,
+                      lane *restrict by, lane *restrict shared, double *restrict density)
 {
     const double *v = f->values;
-    double density = 0.0, factor;
+    lane plain, factor;
     for (int64_t k = 0; k < f->modes; k++)
         for (int64_t j = 0; j < k; j++) {
             int64_t at = place_of(k), other = place_of(j);
-            double plain = common_of(f, t, j, k, square, &factor), both = f->coherence[j] * f->coherence[k];
-            double joint = plain * factor, common = both * plain;
-            double through = common * (resisted(v, other, at) * square);
-            density += both * joint;
-            shared[j] += both * joint;
-            shared[k] += both * joint;
-            by[at] += 2.0 * common * squared(v[at]) * t->apart[j] + through;
-            by[other] += 2.0 * common * squared(v[other]) * t->apart[k] + through;
-            by[at + DAMPING] += through;
-            by[other + DAMPING] += through;
-            by[at + COHERENCE] += (1.0 - squared(f->coherence[k])) * f->coherence[j] * joint;
-            if (j > 0)
-                by[other + COHERENCE] += (1.0 - squared(f->coherence[j])) * f->coherence[k] * joint;
+            double both = f->coherence[j] * f->coherence[k], resistance = resisted(v, other, at);
+            double own = squared(v[at]), others = squared(v[other]);
+            double by_own = (1.0 - squared(f->coherence[k])) * f->coherence[j];
+            double by_other = (1.0 - squared(f->coherence[j])) * f->coherence[k];
+            find_common(f, t, j, k, square, count, plain, factor);
+            for (int i = 0; i < count; i++) {
+                double joint = plain[i] * factor[i], common = both * plain[i];
+                double through = common * (resistance * square[i]);
+                density[i] += both * joint;
+                shared[j][i] += both * joint;
+                shared[k][i] += both * joint;
+                by[at][i] += 2.0 * common * own * t->apart[j][i] + through;
+                by[other][i] += 2.0 * common * others * t->apart[k][i] + through;
+                by[at + DAMPING][i] += through;
+                by[other + DAMPING][i] += through;
+                by[at + COHERENCE][i] += by_own * joint;
+                if (j > 0)
+                    by[other + COHERENCE][i] += by_other * joint;
+            }
         }
-    return density;
 }
 
-/* Density and its derivatives by the log parameters at one squared frequency, into `by`. */
-static double gradient_at(const family *f, double square, double gain, double *by)
+/* Densities at some points and their derivatives by the log parameters, into `by`. */
+static void find_gradient(const family *f, const double *restrict square, const double *restrict gain, int count,
+                          double *restrict density, lane *restrict by)
 {
     terms t;
     const double *v = f->values;
-    double shared[MOST_MODES] = {0.0};
-    find_terms(f, square, gain, &t);
+    lane shared[MOST_MODES];
+    find_terms(f, square, gain, count, &t);
+    memset(density, 0, (size_t)count * sizeof *density);
     memset(by, 0, (size_t)f->parameters * sizeof *by);
-    double density = add_pairs(f, &t, square, by, shared);
+    memset(shared, 0, (size_t)f->modes * sizeof *shared);
+    add_pairs(f, &t, square, count, by, shared, density);
     for (int64_t k = 0; k < f->modes; k++) {
         int64_t at = place_of(k);
-        double response = t.alone[k] + shared[k], size = squared(t.apart[k]) + t.resisted[k];
-        by[at + FREQUENCY] -= response * (4.0 * squared(v[at]) * t.apart[k] + 2.0 * t.resisted[k]) / size;
-        by[at + DAMPING] -= response * 2.0 * t.resisted[k] / size;
-        by[at + LOAD] = t.alone[k] + 0.5 * shared[k];
-        density += t.alone[k];
+        double own = squared(v[at]);
+        for (int i = 0; i < count; i++) {
+            double response = t.alone[k][i] + shared[k][i], size = squared(t.apart[k][i]) + t.resisted[k][i];
+            by[at + FREQUENCY][i] -= response * (4.0 * own * t.apart[k][i] + 2.0 * t.resisted[k][i]) / size;
+            by[at + DAMPING][i] -= response * 2.0 * t.resisted[k][i] / size;
+            by[at + LOAD][i] = t.alone[k][i] + 0.5 * shared[k][i];
+            density[i] += t.alone[k][i];
+        }
     }
-    by[CORNER_1] = density * 2.0 * square / (squared(v[CORNER_1]) + square);
-    by[CORNER_2] = density * 2.0 * square / (squared(v[CORNER_2]) + square);
+    for (int which = CORNER_1; which <= CORNER_2; which++)
+        for (int i = 0; i < count; i++)
+            by[which][i] = density[i] * 2.0 * square[i] / (squared(v[which]) + square[i]);
     for (int64_t k = 0; k < f->modes; k++) {
         int64_t at = place_of(k);
-        double stated = squared(k == 0 ? f->reference_hz : v[at]);
-        double slope_1 = 2.0 * stated / (squared(v[CORNER_1]) + stated);
-        double slope_2 = 2.0 * stated / (squared(v[CORNER_2]) + stated);
-        by[CORNER_1] -= by[at + LOAD] * slope_1;
-        by[CORNER_2] -= by[at + LOAD] * slope_2;
+        double slope_1 = f->load_slope[k][0], slope_2 = f->load_slope[k][1];
+        add_scaled(by[CORNER_1], by[at + LOAD], -slope_1, count);
+        add_scaled(by[CORNER_2], by[at + LOAD], -slope_2, count);
         if (k > 0) /* its load is stated where its frequency is */
-            by[at] += by[at + LOAD] * (slope_1 + slope_2);
+            add_scaled(by[at], by[at + LOAD], slope_1 + slope_2, count);
     }
-    return density;
 }
 
 /* Add coarse points, interpolated, to a row of the exact grid. */
@@ -196,27 +231,33 @@ static void add_coarse(const grid *g, const double *coarse, double *row)
 static void density_on(const family *f, const grid *g, double *out)
 {
     double coarse[COARSE_POINTS] = {0.0};
-    for (int64_t i = 0; i < g->exact.length; i++)
-        out[i] = density_at(f, g->exact.square[i], g->exact.gain[i]);
-    for (int64_t i = 0; i < g->aliases.length; i++)
-        coarse[i % COARSE_POINTS] += density_at(f, g->aliases.square[i], g->aliases.gain[i]);
+    lane density;
+    for (int64_t i = 0; i < g->exact.length; i += BLOCK)
+        find_density(f, g->exact.square + i, g->exact.gain + i, (int)least_of(BLOCK, g->exact.length - i), out + i);
+    for (int64_t i = 0; i < g->aliases.length; i += COARSE_POINTS) {
+        find_density(f, g->aliases.square + i, g->aliases.gain + i, COARSE_POINTS, density);
+        add_scaled(coarse, density, 1.0, COARSE_POINTS);
+    }
     add_coarse(g, coarse, out);
 }
 
 /* Density and derivatives on the grid, (1 + p, n). */
 static void gradient_on(const family *f, const grid *g, double *out)
 {
-    double coarse[1 + MOST_PARAMETERS][COARSE_POINTS] = {{0.0}}, by[MOST_PARAMETERS];
+    double coarse[1 + MOST_PARAMETERS][COARSE_POINTS] = {{0.0}};
+    lane density, by[MOST_PARAMETERS];
     int64_t n = g->exact.length;
-    for (int64_t i = 0; i < n; i++) {
-        out[i] = gradient_at(f, g->exact.square[i], g->exact.gain[i], by);
+    for (int64_t i = 0; i < n; i += BLOCK) {
+        int count = (int)least_of(BLOCK, n - i);
+        find_gradient(f, g->exact.square + i, g->exact.gain + i, count, out + i, by);
         for (int64_t k = 0; k < f->parameters; k++)
-            out[(1 + k) * n + i] = by[k];
+            memcpy(out + (1 + k) * n + i, by[k], (size_t)count * sizeof *out);
     }
-    for (int64_t i = 0; i < g->aliases.length; i++) {
-        coarse[0][i % COARSE_POINTS] += gradient_at(f, g->aliases.square[i], g->aliases.gain[i], by);
+    for (int64_t i = 0; i < g->aliases.length; i += COARSE_POINTS) {
+        find_gradient(f, g->aliases.square + i, g->aliases.gain + i, COARSE_POINTS, density, by);
+        add_scaled(coarse[0], density, 1.0, COARSE_POINTS);
         for (int64_t k = 0; k < f->parameters; k++)
-            coarse[1 + k][i % COARSE_POINTS] += by[k];
+            add_scaled(coarse[1 + k], by[k], 1.0, COARSE_POINTS);
     }
     for (int64_t k = 0; k <= f->parameters; k++)
         add_coarse(g, coarse[k], out + k * n);
@@ -393,10 +434,11 @@ static void differentiate(const problem *o, const double *log_params, double *gr
     convolve(o, o->density, o->expected);
     for (int64_t k = 0; k < b; k++) {
         o->expected[k] = o->expected[k] < MIN_EXPECTED ? MIN_EXPECTED : o->expected[k];
-        for (int64_t j = 0; j < p; j++)
-            o->jacobian[j * b + k] /= o->expected[k];
         o->weighted[k] = o->weight[k] * (1.0 - o->power[k] / o->expected[k]);
     }
+    for (int64_t j = 0; j < p; j++)
+        for (int64_t k = 0; k < b; k++)
+            o->jacobian[j * b + k] /= o->expected[k];
     for (int64_t j = 0; j < p; j++)
         gradient[j] = dot(o->jacobian + j * b, o->weighted, b) + (log_params[j] - o->mean[j]) / squared(o->sigma[j]);
     for (int64_t j = 0; j < p; j++) {
