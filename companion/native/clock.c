@@ -78,9 +78,9 @@ static int64_t cut_once(const corner *in, int64_t count, double at, double value
     return left;
 }
 
-/* Cut the polygon of `corners` (k, 2) by every bound (time, value) of `uppers` and `lowers`, (n, 2) each; how many
- * corners are left. They are written where `corners_out` has room for them. */
-EXPORT int64_t clock_cut(const array *corners_in, const array *uppers_in, const array *lowers_in,
+/* Move the polygon of `corners` (k, 2) to a reference time that is later, and cut it by every bound (time, value) of
+ * `uppers` and `lowers`, (n, 2) each; how many corners are left. They are written where `corners_out` has room. */
+EXPORT int64_t clock_cut(const array *corners_in, double later_ns, const array *uppers_in, const array *lowers_in,
                          const array *corners_out)
 {
     bool good = true;
@@ -94,6 +94,8 @@ EXPORT int64_t clock_cut(const array *corners_in, const array *uppers_in, const 
     if (!polygon)
         return NO_MEMORY;
     memcpy(polygon, corners, (size_t)count * sizeof *polygon);
+    for (int64_t k = 0; k < count; k++)
+        polygon[k].offset += polygon[k].skew * later_ns;
     for (int kind = 0; kind < 2; kind++)
         for (int64_t k = 0; k < lengths[kind]; k++) {
             corner *cut = malloc((size_t)(2 * count + 1) * sizeof *cut);

@@ -87,8 +87,10 @@ def _centre(self: sync_set.FeasibleLines) -> tuple[float, float, float, float]:
     return offset_ns, skew, half_offset_ns, half_skew
 
 
-def _within(self: sync_set.FeasibleLines, uppers: Floats, lowers: Floats) -> sync_set.FeasibleLines | None:
-    corners = plain_clock.cut(plain_clock.cut(self.corners, uppers, 1.0), lowers, -1.0)
+def _within(
+    self: sync_set.FeasibleLines, uppers: Floats, lowers: Floats, later_ns: float = 0.0
+) -> sync_set.FeasibleLines | None:
+    corners = plain_clock.cut(plain_clock.cut(self.moved(later_ns).corners, uppers, 1.0), lowers, -1.0)
     return sync_set.FeasibleLines(corners) if len(corners) else None
 
 

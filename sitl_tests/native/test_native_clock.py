@@ -45,12 +45,13 @@ def _bounds(rng: np.random.Generator, count: int, sign: float) -> Floats:
     return np.stack([at, sign * np.abs(3e6 * rng.standard_normal(count))], axis=1)
 
 
-@given(st.integers(0, 2**32), st.integers(0, 12), st.integers(0, 12))
-def test_polygons_are_cut_and_centred_as_numpy_does(seed: int, uppers: int, lowers: int) -> None:
+@given(st.integers(0, 2**32), st.integers(0, 12), st.integers(0, 12), st.floats(0.0, 1e9))
+def test_polygons_are_moved_cut_and_centred_as_numpy_does(seed: int, uppers: int, lowers: int, later_ns: float) -> None:
     rng = np.random.default_rng(seed)
     above, below = _bounds(rng, uppers, 1.0), _bounds(rng, lowers, -1.0)
-    expected = plain.cut(plain.cut(BOX.corners, above, 1.0), below, -1.0)
-    cut = BOX.within(above, below)
+    moved = BOX.corners + np.stack([later_ns * BOX.corners[:, 1], np.zeros(len(BOX.corners))], axis=1)
+    expected = plain.cut(plain.cut(moved, above, 1.0), below, -1.0)
+    cut = BOX.within(above, below, later_ns)
     if cut is None:
         assert not len(expected)
         return

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.native.library import ARRAY, kernel
+from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats
 
-_cut = kernel("clock_cut", ARRAY, ARRAY, ARRAY, ARRAY)
+_cut = kernel("clock_cut", ARRAY, REAL, ARRAY, ARRAY, ARRAY)
 _centre = kernel("clock_centre", ARRAY, ARRAY)
 
 
@@ -54,21 +54,24 @@ class FeasibleLines:
         moved[:, 0] += moved[:, 1] * later_ns
         return FeasibleLines(moved)
 
-    def within(self, uppers: Floats, lowers: Floats) -> FeasibleLines | None:
+    def within(self, uppers: Floats, lowers: Floats, later_ns: float = 0.0) -> FeasibleLines | None:
         """Keep the lines that are at most some values and at least others at some times; None when no line is left.
 
         Parameters
         ----------
         uppers, lowers : (n, 2) float64
-            Time [ns], relative to the reference, and value [ns] of each bound.
+            Time [ns], relative to the new reference, and value [ns] of each bound.
+        later_ns : float
+            Time from the reference of these lines to the new one: see :meth:`moved`.
         """
         polygon = np.empty((len(self.corners) + len(uppers) + len(lowers), 2))
-        while (count := _cut(self.corners, uppers, lowers, polygon)) > len(
-            polygon
-        ):  # rounding made more than one a cut
+        while (count := _cut(self.corners, later_ns, uppers, lowers, polygon)) > len(polygon):
+            # rounding made more than one a cut
             polygon = np.empty((count, 2))
         return FeasibleLines(polygon[:count]) if count else None
 
-    def between(self, upper: tuple[float, float], lower: tuple[float, float]) -> FeasibleLines | None:
+    def between(
+        self, upper: tuple[float, float], lower: tuple[float, float], later_ns: float = 0.0
+    ) -> FeasibleLines | None:
         """As :meth:`within`, with one bound of each kind, time and value; an infinite value bounds nothing."""
-        return self.within(np.array([upper]), np.array([lower]))
+        return self.within(np.array([upper]), np.array([lower]), later_ns)

@@ -109,8 +109,8 @@ class ExchangeWindow:
         """Take one exchange and give the fit; None, and nothing is kept, where it contradicts the others."""
         upper, lower = _bounds(reply, self.base_ns)
         now = max(reply.received_host_ns, self._at_ns)
-        moved = self._lines and self._lines.moved(now - self._at_ns)
-        if moved is not None and _cut(moved, upper, lower, now, _TOLERANCES_NS[-1]) is None:
+        lines_before, later = self._lines, now - self._at_ns
+        if lines_before is not None and _cut(lines_before, later, upper, lower, now, _TOLERANCES_NS[-1]) is None:
             self._aside_from(now)
             return None
         self._forget_before(now - WINDOW_NS)
@@ -122,13 +122,15 @@ class ExchangeWindow:
             lagged = number <= self._lagged_until
             bucket = _Bucket(number, now < self._careful_until_ns, 1, (upper, upper), lower, lagged)
         lines = None
-        if moved is not None and same and self._closed:  # within a second the skew cannot change by much
-            lines = _cut(moved, self._running(bucket), bucket.lower, now, self._tolerance_ns)
+        if lines_before is not None and same and self._closed:  # within a second the skew cannot change by much
+            lines = _cut(lines_before, later, self._running(bucket), bucket.lower, now, self._tolerance_ns)
         closed = self._closed if same or last is None else [*self._closed, last]
         lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
-        if lines is None and moved is not None and self._may_wait(moved, upper, now):
-            self._lines, self._at_ns = moved, now
-            return self._fit(moved)
+        if lines is None and lines_before is not None:
+            moved = lines_before.moved(later)
+            if self._may_wait(moved, upper, now):
+                self._lines, self._at_ns = moved, now
+                return self._fit(moved)
         if lines is not None and self._aside:
             closed, bucket = self._grown_careful(closed, bucket, now)
             lines = self._rebuilt(closed, bucket, now, _FINE_NS) or lines
@@ -213,10 +215,10 @@ def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:
 
 
 def _cut(
-    lines: FeasibleLines, upper: _Bound | None, lower: _Bound, now_ns: int, tolerance_ns: float
+    lines: FeasibleLines, later_ns: int, upper: _Bound | None, lower: _Bound, now_ns: int, tolerance_ns: float
 ) -> FeasibleLines | None:
     high = _NO_UPPER if upper is None else (float(upper.at_ns - now_ns), upper.offset_ns + tolerance_ns)
-    return lines.between(high, (float(lower.at_ns - now_ns), lower.offset_ns - tolerance_ns))
+    return lines.between(high, (float(lower.at_ns - now_ns), lower.offset_ns - tolerance_ns), float(later_ns))
 
 
 def _relative(bound: _Bound, now_ns: int) -> _Relative:
