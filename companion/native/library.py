@@ -7,8 +7,9 @@ record. It allocates nothing that it returns, and refuses an array of other elem
 from __future__ import annotations
 
 import ctypes
+import operator
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -40,20 +41,15 @@ def packed(record: type[Any]) -> Callable[[Any], bytes]:
     A member that is a named tuple itself is laid out in its place. The bytes hold addresses of the arrays: the tuple
     must outlive the call.
     """
-    code = _codes(record)
-    nested = any(isinstance(each, list) for each in code)
-    kinds = _flat_codes(code)
-    pack, arrays = struct.Struct("=" + "".join(kinds)).pack, [at for at, kind in enumerate(kinds) if kind == "Q"]
-    if len(arrays) == len(kinds) and not nested:
-        return lambda values: pack(*map(id, values))
-
-    def laid_out(values: Any) -> bytes:
-        members = _flat(values) if nested else list(values)
-        for at in arrays:
-            members[at] = id(members[at])
-        return pack(*members)
-
-    return laid_out
+    codes = _member_codes(record)
+    pack, arrays = struct.Struct("=" + "".join(codes.values())).pack, [code == "Q" for code in codes.values()]
+    nested = any("." in name for name in codes)
+    members: Callable[[Any], Iterable[Any]] = operator.attrgetter(*codes) if nested else iter
+    if all(arrays):
+        return lambda values: pack(*map(id, members(values)))
+    return lambda values: pack(
+        *[id(member) if array else member for member, array in zip(members(values), arrays, strict=True)]
+    )
 
 
 def library_variant() -> str:
@@ -62,21 +58,16 @@ def library_variant() -> str:
     return f"{Path(_LIBRARY._name).stem} by {_LIBRARY.compiler().decode().strip()}"
 
 
-def _codes(record: type[Any]) -> list[Any]:
-    """Code of each member of a named tuple for :mod:`struct`; a list for a nested one."""
+def _member_codes(record: type[Any]) -> dict[str, str]:
+    """Code for :mod:`struct` of each member of a named tuple, by name; those of nested ones in their place, dotted."""
     scalars = {int: "q", bool: "q", float: "d"}
-    return [
-        _codes(kind) if hasattr(kind, "_fields") else scalars.get(kind, "Q") for kind in get_type_hints(record).values()
-    ]
-
-
-def _flat_codes(codes: list[Any]) -> list[str]:
-    return [each for code in codes for each in (_flat_codes(code) if isinstance(code, list) else [code])]
-
-
-def _flat(values: Any) -> list[Any]:
-    """Members of a named tuple, those of nested ones in their place."""
-    return [each for value in values for each in (_flat(value) if hasattr(value, "_fields") else [value])]
+    codes: dict[str, str] = {}
+    for name, kind in get_type_hints(record).items():
+        if hasattr(kind, "_fields"):
+            codes |= {f"{name}.{member}": code for member, code in _member_codes(kind).items()}
+        else:
+            codes[name] = scalars.get(kind, "Q")
+    return codes
 
 
 def _checked(result: int, function: Any, _: Any) -> int:
