@@ -9,6 +9,7 @@ many states and rows as ours; it does nothing but predict and update, at the tra
 from __future__ import annotations
 
 import dataclasses
+import gc
 import platform
 import statistics
 import sys
@@ -213,6 +214,8 @@ def _driven(inputs: Iterable[Record], belief: Airframe) -> tuple[float, float, f
     state.scheduling = timed  # type: ignore[assignment]
     settled_s = planned_s = 0.0
     turns_s: list[float] = []
+    gc.collect()  # as the service does before it turns (service/inertial.py)
+    gc.freeze()
     begin = time.process_time()
     for record in inputs:
         if not settled_s and isinstance(record, Tick) and record.now_host_ns >= _EPOCH_NS + SETTLE_S * 1e9:
@@ -223,6 +226,7 @@ def _driven(inputs: Iterable[Record], belief: Airframe) -> tuple[float, float, f
     if not timed.plans or not settled_s:
         raise RuntimeError(f"{timed.plans} plans made: nothing was measured")
     late_s, planning_s = time.process_time() - settled_s, timed.spent_s - planned_s
+    gc.unfreeze()
     return settled_s - begin, late_s, planning_s, float(np.percentile(np.diff(turns_s), 99))
 
 
