@@ -46,7 +46,9 @@ class StreamRateMonitor:
                 continue
             t_ns, before_hz = np.sort(np.concatenate(window.stamps)), window.spacing_hz
             window.stamps.clear()
-            window.spacing_hz = hz = 1e9 / max(float(np.median(np.diff(t_ns))), 1.0)
+            steps_ns = t_ns[1:] - t_ns[:-1]
+            middle = len(steps_ns) // 2
+            window.spacing_hz = hz = 1e9 / max(float(np.partition(steps_ns, middle)[middle]), 1.0)
             settled = abs(hz - before_hz) < _ALIKE * hz
             if settled and hz > _SLOWEST_HZ and not _LEAST <= hz / airframe.sensor(station).rate_hz <= _MOST:
                 yield station, (len(t_ns) - 1) * 1e9 / float(t_ns[-1] - t_ns[0])

@@ -33,6 +33,12 @@ def plain(array: _Array) -> _Array:
     return array if array.flags.c_contiguous else cast(_Array, array.copy())
 
 
+def row_medians(values: Floats) -> Floats:
+    """Median of each row, (m,), of ``values`` (m, n): for short rows at a fraction of the price of numpy's."""
+    ordered, n = np.sort(values, axis=1), values.shape[1]
+    return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
+
+
 class Epochs(NamedTuple):
     """Measurements of all sensors over consecutive averaging epochs: made in ``rigid_body``, filtered in the kernel.
 

@@ -50,9 +50,10 @@ def _exponential(matrix: Floats) -> Floats:
     norm = np.abs(matrix).sum(axis=1).max()
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-30) / 0.5))))
     small = matrix / 2.0**squarings
-    total = np.eye(len(matrix))
+    identity = np.eye(len(matrix))
+    total = identity
     for k in range(_TERMS, 0, -1):
-        total = np.eye(len(matrix)) + small @ total / k
+        total = identity + small @ total / k
     for _ in range(squarings):
         total = total @ total
     return total

@@ -156,8 +156,8 @@ def mode_estimate(
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
-    index = [family.q, family.v, family.gust_2]
-    block = covariance[np.ix_(index, index)]
+    index = np.array([family.q, family.v, family.gust_2])
+    block = covariance[index[:, None], index]
     about = _about_slow_load(block, parameters.frequency_hz)
     amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = oscillation(
         about @ state[index],
@@ -190,10 +190,9 @@ def _about_slow_load(covariance: Floats, frequency_hz: float) -> Floats:
     deflection and load is taken out of both, at most the whole bend ``load / omega^2``.
     """
     most = 1.0 / (2.0 * np.pi * frequency_hz) ** 2
-    ratio = float(np.clip(covariance[0, 2] / covariance[2, 2], 0.0, most)) if covariance[2, 2] > 0.0 else 0.0
-    about = np.eye(3)
-    about[0, 2], about[2, 2] = -ratio, 1.0 - ratio / most
-    return about
+    common, load = float(covariance[0, 2]), float(covariance[2, 2])
+    ratio = min(max(common / load, 0.0), most) if load > 0.0 else 0.0
+    return np.array([[1.0, 0.0, -ratio], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0 - ratio / most]])
 
 
 _oscillation = kernel("estimate_oscillation", ARRAY, ARRAY, ARRAY, REAL, REAL, REAL, REAL, ARRAY)

@@ -183,7 +183,10 @@ class SeparatedBiasFilter:
 
     def gate_excess(self, count: int) -> Floats:
         """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9)."""
-        gate_excess: Floats = self.history.gate_excess[np.arange(self.steps - count, self.steps) % self.history_length]
+        first = (self.steps - count) % self.history_length
+        if first + count <= self.history_length:
+            return self.history.gate_excess[first : first + count]
+        gate_excess: Floats = self.history.gate_excess[np.arange(first, first + count) % self.history_length]
         return gate_excess
 
     def innovations(self, count: int) -> tuple[Floats, Floats]:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from companion.core.kernels.arrays import row_medians
 from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
 from companion.core.tracking.spread_work import Stages
 from companion.native.library import ARRAY, INTEGER, REAL, kernel
@@ -317,7 +318,7 @@ def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
     n = turned.shape[1]
     power = np.abs(np.fft.fft(_hann(n) * turned)) ** 2
     near, far = round(NEAR_HZ * n / rate_hz), round(_TURNED_FLOOR_HZ * n / rate_hz)
-    floor = np.median(np.concatenate([power[:, near:far], power[:, -far:-near]], axis=1), axis=1)
+    floor = row_medians(np.concatenate([power[:, near:far], power[:, -far:-near]], axis=1))
     high = np.flatnonzero(power[:, 0] > _MIN_TURNED_RATIO * np.maximum(floor, _NO_POWER))
     return max((float(power[k, 0] / floor[k]) for k in high if _steady(turned[k], rate_hz)), default=0.0)
 
@@ -343,8 +344,8 @@ def _peaks(channel: ChannelWindow) -> list[Peak]:
     last, near, width = int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz), round(_FLOOR_HZ / bin_hz)
     first = int(_LOWEST_HZ / bin_hz) - width
     blocks = power[first : first + (last - first) // width * width].reshape(-1, width)
-    floor = np.maximum(np.median(blocks, axis=1, keepdims=True), _NO_POWER)
-    ratio = (blocks / floor).ravel()
+    floor = np.maximum(row_medians(blocks), _NO_POWER)
+    ratio = (blocks / floor[:, None]).ravel()
     peaks = []
     for k in (first + np.flatnonzero(ratio > _MIN_RATIO)).tolist():
         if power[k] < power[k - near : k + near + 1].max():

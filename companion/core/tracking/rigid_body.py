@@ -53,7 +53,7 @@ class RareGates:
 
     def without(self, epochs: Epochs, gate_excess: Floats, step_s: float, *, learning: bool) -> Epochs:
         """Epochs less their gate excess (n, 9); unchanged while ``learning``: wrong parameters gate right samples."""
-        gated = int(np.count_nonzero(gate_excess.any(axis=1)))
+        gated = int(np.count_nonzero(gate_excess.any(axis=1))) if np.count_nonzero(gate_excess) else 0
         self._epochs += gated - self._epochs * min(1.0, epochs.length * step_s)
         rare = self._epochs * step_s < _MAX_GATED_RATIO and not learning
         return without_gate_excess(epochs, gate_excess) if gated and rare else epochs

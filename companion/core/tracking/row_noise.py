@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.kernels.arrays import plain
+from companion.core.kernels.arrays import plain, row_medians
 from companion.core.tracking.nonnegative import nonnegative_least_squares
 from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, SensorNoise
 from companion.native.library import ARRAY, kernel
@@ -87,7 +87,7 @@ class RowNoise:
         terms = noise_terms(innovation, covariance, np.flatnonzero(at), np.flatnonzero(rows), self._columns[:, present])
         if terms is None:
             return
-        medians, sources = np.median(terms, axis=1), int(present.sum())
+        medians, sources = row_medians(terms), int(present.sum())
         coupling, square, half_change = np.split(medians, [sources**2, sources**2 + sources])
         coupling = coupling.reshape(sources, sources)
         strength = np.diagonal(coupling)

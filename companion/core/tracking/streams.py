@@ -237,8 +237,8 @@ class SampleBuffer:
             t_ns, self.values, int(t_ns.searchsorted(from_ns)), self._noise_sigma, float(self._period_ns)
         )
         self._checked_ns = int(t_ns[-1 - NEIGHBOURS])
-        if outliers.any():
-            self._unreported_outliers += int(outliers.sum())
+        if count := int(np.count_nonzero(outliers)):
+            self._unreported_outliers += count
             self.t_ns, self.values = t_ns[~outliers], self.values[~outliers]
 
     def average(self, edges_ns: Ints) -> EpochAverages:

@@ -186,8 +186,8 @@ class Adaptation:
         count = min(self._count, len(self._rows))
         first = (self._count - count) % len(self._rows)
         rows, present = _in_order(self._rows, first, count).copy(), _in_order(self._present, first, count)
-        sensitivity = _in_order(self._sensitivity, first, count)
-        rows[:, :2] -= (sensitivity.reshape(2 * count, -1) @ self._bias_parameters).reshape(count, 2)
+        by_bias = (self._sensitivity[:count].reshape(2 * count, -1) @ self._bias_parameters).reshape(count, 2)
+        rows[:, :2] -= _in_order(by_bias, first, count)
         rows[:, STATIC] *= self._bend_per_g_m
         return rows, present
 
@@ -195,8 +195,11 @@ class Adaptation:
 def epoch_slope_rates(epochs: Epochs) -> Floats:
     """Rate of slope of both families by the roll rates of tips and root, (n, 2) rad/s; NaN where one is absent."""
     left, right, root = (epochs.rows[:, row] for row in (P_LEFT, P_RIGHT, P_ROOT))
-    rates = np.column_stack([0.5 * (left - right), root - 0.5 * (left + right)])
-    rates[~epochs.present[:, P_LEFT : P_ROOT + 1].all(axis=1)] = np.nan
+    rates = np.empty((epochs.length, 2))
+    rates[:, 0], rates[:, 1] = 0.5 * (left - right), root - 0.5 * (left + right)
+    present = epochs.present[:, P_LEFT : P_ROOT + 1]
+    if np.count_nonzero(present) < present.size:
+        rates[~present.all(axis=1)] = np.nan
     return rates
 
 

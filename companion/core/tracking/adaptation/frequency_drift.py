@@ -95,8 +95,9 @@ def estimate_drift_rate(
     flat_prior = prior._replace(sigma=np.full(size, np.inf))
     gradient, information = np.zeros(size + 1), np.zeros((size + 1, size + 1))
     jacobian = np.eye(size + 1)[:, :size]  # of a segment's parameters by those of the middle and the rate, transposed
+    mask = frequency_mask(prior.places)
     for number, segment in enumerate(segments):
-        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * frequency_mask(prior.places)
+        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * mask
         segment_gradient, segment_information = gradient_and_fisher(
             segment, flat_prior, log_params + rate_per_s * jacobian[size]
         )
