@@ -59,7 +59,8 @@ typedef struct {
 
     int64_t count, used[ROWS], position[ROWS];
     double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
-    double *state, *linearised, *H, *HP, *next_state, *next_covariance;
+    double *state, *linearised, *H, *HP, *next_state, *next_covariance, *factor; /* the last: entries of a row */
+    int64_t *entry;
 } run;
 
 /* Static bend over the coming step and its sensitivities, in the last row of [x | V]. */
@@ -147,6 +148,18 @@ static void regress_on_prediction(run *f, double *out)
     }
 }
 
+/* Columns of the entries of a row (n,) that are not zero, and these by a sign, into `entry` and `factor`; their count. */
+static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; i < n; i++)
+        if (row[i] != 0.0) {
+            f->entry[count] = i;
+            f->factor[count++] = sign * row[i];
+        }
+    return count;
+}
+
 /* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
 static void find_innovation(run *f, int64_t k, double *out)
 {
@@ -178,10 +191,10 @@ static void find_innovation(run *f, int64_t k, double *out)
         if (r >= 0)
             out[r * width + f->slope_factor_columns[j]] = f->linearised[4 + j];
     }
-    for (int64_t r = 0; r < f->count; r++)
-        for (int64_t i = 0; i < n; i++)
-            if (f->H[r * n + i] != 0.0)
-                add_scaled(out + r * width, f->x + i * width, -f->H[r * n + i], width);
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t count = find_entries(f, f->H + r * n, -1.0, n);
+        add_selected(out + r * width, width, f->x, f->entry, f->factor, count);
+    }
     regress_on_prediction(f, out);
 }
 
@@ -190,10 +203,10 @@ static void project_covariance(run *f)
 {
     int64_t n = f->h.n;
     memset(f->HP, 0, (size_t)(f->count * n) * sizeof(double));
-    for (int64_t r = 0; r < f->count; r++)
-        for (int64_t i = 0; i < n; i++)
-            if (f->H[r * (n + 1) + i] != 0.0)
-                add_scaled(f->HP + r * n, f->covariance + i * n, f->H[r * (n + 1) + i], n);
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t count = find_entries(f, f->H + r * (n + 1), 1.0, n);
+        add_selected(f->HP + r * n, n, f->covariance, f->entry, f->factor, count);
+    }
 }
 
 /* S = H P H^T + inflated process noise + sensor noise of the used rows; lower half. */
@@ -326,9 +339,11 @@ static void find_cross_covariance(const run *f, double noise_inflation, double *
 /* L^-1 times the rows (count, width), in place. */
 static void whiten(const run *f, double *rows, int64_t width)
 {
+    double factors[ROWS];
     for (int64_t r = 0; r < f->count; r++) {
         for (int64_t q = 0; q < r; q++)
-            add_scaled(rows + r * width, rows + q * width, -f->S[r][q], width);
+            factors[q] = -f->S[r][q];
+        add_combination(rows + r * width, width, rows, width, factors, 1, r);
         for (int64_t j = 0; j < width; j++)
             rows[r * width + j] *= f->S[r][r];
     }
@@ -337,8 +352,12 @@ static void whiten(const run *f, double *rows, int64_t width)
 /* Add A rows, (n, width), to `out`. */
 static void add_transition_product(const run *f, const double *rows, int64_t width, double *out)
 {
-    for (int64_t e = 0; e < f->entries; e++)
-        add_scaled(out + f->row[e] * width, rows + f->col[e] * width, f->value[e], width);
+    int64_t first = 0, next = 0;
+    for (; first < f->entries; first = next) {
+        while (next < f->entries && f->row[next] == f->row[first])
+            next++;
+        add_selected(out + f->row[first] * width, width, rows, f->col + first, f->value + first, next - first);
+    }
 }
 
 /* [x | V] after the step: A x + b u + C S^-1 e, likewise for every column. */
@@ -351,8 +370,7 @@ static void propagate_state(run *f, const double *cross_cov, const double *innov
         double *next = f->next_state + i * width;
         if (f->static_input[i] != 0.0)
             add_scaled(next, f->x + n * width, f->static_input[i], width);
-        for (int64_t r = 0; r < f->count; r++)
-            add_scaled(next, innovation + r * width, cross_cov[r * n + i], width);
+        add_combination(next, width, innovation, width, cross_cov + i, n, f->count);
     }
     memcpy(f->x, f->next_state, (size_t)(n * width) * sizeof(double));
 }
@@ -373,9 +391,12 @@ static void propagate_covariance(run *f, double noise_inflation, const double *c
     for (int64_t i = 0; i < n * n; i++)
         P[i] = noise_inflation * f->Q[i];
     add_transition_product(f, product, n, P);
-    for (int64_t i = 0; i < n; i++)
+    double factors[ROWS];
+    for (int64_t i = 0; i < n; i++) {
         for (int64_t r = 0; r < f->count; r++)
-            add_scaled(P + i * n, cross_cov + r * n, -cross_cov[r * n + i], i + 1);
+            factors[r] = -cross_cov[r * n + i];
+        add_combination(P + i * n, i + 1, cross_cov, n, factors, 1, f->count);
+    }
     for (int64_t i = 0; i < n; i++)
         for (int64_t j = 0; j < i; j++)
             P[j * n + i] = P[i * n + j];
@@ -415,9 +436,9 @@ static bool step(run *f, int64_t k, int64_t slot)
     whiten(f, whitened_H, n);
     whiten(f, innovation, width);
     whiten(f, cross_cov, n);
-    for (int64_t r = 0; r < (gated ? 0 : f->count); r++)
-        for (int64_t i = 0; i < width; i++)
-            add_scaled(f->information + i * width, innovation + r * width, innovation[r * width + i], width);
+    for (int64_t i = 0; i < width; i++)
+        add_combination(f->information + i * width, width, innovation, width, innovation + i, width,
+                        gated ? 0 : f->count);
     propagate_state(f, cross_cov, innovation);
     propagate_covariance(f, noise_inflation, cross_cov);
     return true;
@@ -509,19 +530,25 @@ EXPORT int64_t filter_epochs(const constants_record *constants, const model_reco
         !read_epochs(epochs, last, &f) || !read_state(state, &f))
         return BAD_ARRAY;
     int64_t n = f.h.n, width = f.h.width;
-    size_t room = (size_t)(n + 1 + f.linearised_rows + ROWS * (n + 1) + ROWS * n + n * width + n * n);
+    size_t room = (size_t)(n + 1 + f.linearised_rows + ROWS * (n + 1) + ROWS * n + n * width + n * n + n + 1);
     f.state = malloc(room * sizeof(double));
-    if (!f.state)
+    f.entry = malloc((size_t)(n + 1) * sizeof *f.entry);
+    if (!f.state || !f.entry) {
+        free(f.state);
+        free(f.entry);
         return NO_MEMORY;
+    }
     f.linearised = f.state + n + 1;
     f.H = f.linearised + f.linearised_rows;
     f.HP = f.H + ROWS * (n + 1);
     f.next_state = f.HP + ROWS * n;
     f.next_covariance = f.next_state + n * width;
+    f.factor = f.next_covariance + n * n;
     bool finite = true;
     for (int64_t k = first; k < last && finite; k++)
         finite = step(&f, k, (steps + k - first) % f.h.size);
     free(f.state);
+    free(f.entry);
     return finite;
 }
 

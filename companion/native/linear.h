@@ -26,14 +26,58 @@ static inline void add_scaled(double *restrict to, const double *restrict row, d
         to[k] += factor * row[k];
 }
 
+/* Add four rows by their factors to another, as by `add_scaled` one after the other, with one store of each sum. */
+static inline void add_four(double *restrict to, int64_t n, const double *restrict a, const double *restrict b,
+                            const double *restrict c, const double *restrict d, double by_a, double by_b, double by_c,
+                            double by_d)
+{
+    for (int64_t j = 0; j < n; j++)
+        to[j] = to[j] + by_a * a[j] + by_b * b[j] + by_c * c[j] + by_d * d[j];
+}
+
+/* Add two rows by their factors to another, likewise. */
+static inline void add_two(double *restrict to, int64_t n, const double *restrict a, const double *restrict b,
+                           double by_a, double by_b)
+{
+    for (int64_t j = 0; j < n; j++)
+        to[j] = to[j] + by_a * a[j] + by_b * b[j];
+}
+
+/* Add the combination of `count` rows, `pitch` apart and of length n, to another one, by factors `stride` apart. */
+static inline void add_combination(double *restrict to, int64_t n, const double *rows, int64_t pitch,
+                                   const double *factors, int64_t stride, int64_t count)
+{
+    int64_t k = 0;
+    for (; k + 4 <= count; k += 4) {
+        const double *row = rows + k * pitch, *by = factors + k * stride;
+        add_four(to, n, row, row + pitch, row + 2 * pitch, row + 3 * pitch, by[0], by[stride], by[2 * stride],
+                 by[3 * stride]);
+    }
+    for (; k < count; k++)
+        add_scaled(to, rows + k * pitch, factors[k * stride], n);
+}
+
+/* Add the combination of the rows `which` (count,) of `rows`, of length n, to another one, by as many factors. */
+static inline void add_selected(double *restrict to, int64_t n, const double *rows, const int64_t *which,
+                                const double *factors, int64_t count)
+{
+    int64_t k = 0;
+    for (; k + 4 <= count; k += 4)
+        add_four(to, n, rows + which[k] * n, rows + which[k + 1] * n, rows + which[k + 2] * n, rows + which[k + 3] * n,
+                 factors[k], factors[k + 1], factors[k + 2], factors[k + 3]);
+    for (; k + 2 <= count; k += 2)
+        add_two(to, n, rows + which[k] * n, rows + which[k + 1] * n, factors[k], factors[k + 1]);
+    for (; k < count; k++)
+        add_scaled(to, rows + which[k] * n, factors[k], n);
+}
+
 /* out = a b, (n, m) (m, w). */
 static inline void multiply(const double *a, const double *b, int64_t n, int64_t m, int64_t w, double *restrict out)
 {
     for (int64_t i = 0; i < n; i++) {
         for (int64_t j = 0; j < w; j++)
             out[i * w + j] = 0.0;
-        for (int64_t k = 0; k < m; k++)
-            add_scaled(out + i * w, b + k * w, a[i * m + k], w);
+        add_combination(out + i * w, w, b, w, a + i * m, 1, m);
     }
 }
 
