@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import operator
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -38,18 +38,29 @@ def kernel(name: str, *arguments: Any) -> Callable[..., int]:
 def packed(record: type[Any]) -> Callable[[Any], bytes]:
     """Function that lays out a named tuple of arrays, integers and reals as the C structure of the same members.
 
-    A member that is a named tuple itself is laid out in its place. The bytes hold addresses of the arrays: the tuple
-    must outlive the call.
+    A member that is a named tuple itself is laid out in its place. The bytes hold addresses of the arrays, whose tuple
+    is kept until the next one comes: constants and models are laid out once.
     """
     codes = _member_codes(record)
-    pack, arrays = struct.Struct("=" + "".join(codes.values())).pack, [code == "Q" for code in codes.values()]
+    pack = struct.Struct("=" + "".join(codes.values())).pack
+    scalars = [k for k, code in enumerate(codes.values()) if code != "Q"]
     nested = any("." in name for name in codes)
-    members: Callable[[Any], Iterable[Any]] = operator.attrgetter(*codes) if nested else iter
-    if all(arrays):
-        return lambda values: pack(*map(id, members(values)))
-    return lambda values: pack(
-        *[id(member) if array else member for member, array in zip(members(values), arrays, strict=True)]
-    )
+    flat: Callable[[Any], Any] = operator.attrgetter(*codes) if nested else tuple
+    newest: tuple[Any, bytes] = (None, b"")
+
+    def laid_out(values: Any) -> bytes:
+        nonlocal newest
+        before, layout = newest
+        if values is not before:
+            members = flat(values)
+            numbers = [*map(id, members)]
+            for k in scalars:
+                numbers[k] = members[k]
+            layout = pack(*numbers)
+            newest = values, layout
+        return layout
+
+    return laid_out
 
 
 def library_variant() -> str:

@@ -120,3 +120,14 @@ def test_a_record_is_laid_out_member_by_member() -> None:
     laid_out = packed(_Outer)(_Outer(0.5, _Inner(-7, values), True))
     assert np.frombuffer(laid_out, np.float64)[0] == 0.5
     assert np.frombuffer(laid_out, np.int64)[1:].tolist() == [-7, id(values), 1]
+
+
+def test_a_record_is_laid_out_anew_where_it_is_another_one() -> None:
+    laid_out, values = packed(_Outer), np.zeros(3)
+    first = _Outer(0.5, _Inner(-7, values), True)
+    assert laid_out(first) is laid_out(first)
+    others = [first._replace(step_s=0.25), first._replace(inner=_Inner(3, np.ones(2)))]
+    for other in [*others, first]:
+        fields = np.frombuffer(laid_out(other), np.int64)[1:].tolist()
+        assert fields == [other.inner.at, id(other.inner.values), 1]
+        assert np.frombuffer(laid_out(other), np.float64)[0] == other.step_s
