@@ -50,6 +50,7 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _BY_PIN = "exposures stamped by the autopilot"
+_SAMPLES = {station: f"samples {station.name.lower()}" for station in Station}  # names of counters
 
 
 def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[OutputRecord]]:
@@ -82,7 +83,7 @@ def _take_samples(state: PipelineState) -> list[OutputRecord]:
     for batches in state.waiting.values():
         for batch in joined(batches):
             state.rate_monitor.note(batch)
-            state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
+            state.counters[_SAMPLES[batch.station]] += len(batch.t_ns)
             refused += _track(state, batch)
     state.waiting.clear()
     return refused
