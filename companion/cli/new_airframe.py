@@ -238,7 +238,7 @@ def _next(measured: Measured, out: Path) -> str:
         limit = f"until then some {trusted_to_m(measured):.1f} m is the farthest trusted without matched features"
         steps += [
             ("spanwise calibrate stereo --help", "lens and mounting, each with its sigma"),
-            ("python -m mission_scripts.calibrate_target --help", f"the trim bend; {limit}"),
+            ("python -m mission_scripts.calibrate_target --help", f"in a checkout of Spanwise: the trim bend; {limit}"),
         ]
     lines = [f"  {command}\n      {purpose}" for command, purpose in steps]
     bends = f"by beam theory the tips bend {trim_mm:.1f} mm in level flight and {per_g_mm:.1f} mm for each further g"
