@@ -56,7 +56,7 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
             "the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"
         ),
         NextStep(
-            "trim flight, from a checkout of Spanwise (no wheel has missions): the bend of level flight, and what to write",
+            "trim flight, from a checkout of Spanwise (no wheel has missions): the bend of level flight",
             f"python -m mission_scripts.calibrate_target --connect {_MISSION_LINK} --ground 0",
         ),
     ]
