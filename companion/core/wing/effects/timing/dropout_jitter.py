@@ -83,9 +83,13 @@ def _is_defect(lost: float, wanders_s: float, period_s: float) -> bool:
 
 
 def _held(values: Floats) -> float:
-    """Share of samples that repeat the one before to the last digit, of values so fine that none does by chance."""
+    """Share of samples that repeat the one before to the last digit, of values so fine that none does by chance.
+
+    At either end of the values a sample may repeat because it is clipped.
+    """
     fine = len(np.unique(values)) > _FINE * len(values)
-    return float(np.mean(np.diff(values) == 0.0)) if fine else 0.0
+    clear = (values[1:] > np.min(values)) & (values[1:] < np.max(values))
+    return float(np.mean((np.diff(values) == 0.0) & clear)) if fine else 0.0
 
 
 def _about_the_mean(t_s: Floats) -> tuple[float, float]:
