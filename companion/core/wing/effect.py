@@ -108,7 +108,7 @@ class CameraView:
     The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
     ``1/sqrt(softness_s2)`` rad/s with a damper of ``damper_s`` beside its loss; the image is the mean over a readout of
     ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders,
-    ``jitter_shared`` the share of its square that both cameras have in common.
+    ``jitter_shared`` the share of its square that both cameras have in common: on average a fast motion is missed.
     """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
@@ -125,7 +125,7 @@ class CameraView:
 
     def follows(self, omega_radps: Floats) -> Complexes:
         """Camera slope per station slope, (f,); (1,) where it is the same at every frequency."""
-        if not (self.lag_s or self.softness_s2 or self.damper_s or self.readout2_s2):
+        if not (self.lag_s or self.softness_s2 or self.damper_s or self.readout2_s2 or self.jitter_s):
             return np.array([self.slope_gain + 0.0j])
         omega: Floats = np.asarray(omega_radps)
         lag = 1.0 / (1.0 + 1j * omega * self.lag_s)
@@ -133,7 +133,8 @@ class CameraView:
         resonance = 1.0 / (1.0 - soft * (1.0 - 2j * MOUNT_DAMPING) + 1j * omega * self.damper_s)
         # a mean over T passes sinc(omega T / 2) = 1 - omega^2 T^2 / 24 + ...
         mean = np.sinc(np.sqrt(np.maximum(self.readout2_s2, 0.0)) * omega / (2.0 * np.pi))
-        return np.asarray(self.slope_gain * lag * resonance * mean, dtype=np.complex128)
+        wandering = np.exp(-0.5 * (omega * self.jitter_s) ** 2)  # the mean over instants that are normal
+        return np.asarray(self.slope_gain * lag * resonance * mean * wandering, dtype=np.complex128)
 
 
 def parameter(unit: str, sigma: float, doc: str, default: float = 0.0) -> Any:
