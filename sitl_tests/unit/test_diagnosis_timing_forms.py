@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.wing.effect import viewed
+from companion.core.wing.effect import CameraView, viewed
 from companion.core.wing.effects import catalogue
+from companion.diagnosis.flights.proposals import candidates_of
+from companion.diagnosis.flights.recordings import Flights
+from companion.diagnosis.flights.screen import screen
+from companion.diagnosis.model.generic_effects import generic_effects
 from companion.records import Side, Station
 from sitl_tests.unit.test_diagnosis_generic_effects import flown
 
@@ -42,3 +46,28 @@ def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders(
     rows[:, 0] = 1.0
     own, shared = (model._toe._wandering(motion, rows, 0.0, view.jitter_shared) for view in views)  # type: ignore[union-attr]
     assert own == pytest.approx(0.5 * shared)
+
+
+def test_exposures_that_wander_miss_a_fast_motion_on_average() -> None:
+    """The mean of cos(omega (t + d)) over normal d is exp(-omega^2 sigma^2 / 2) cos(omega t)."""
+    sigma_s, omega = 0.003, 2.0 * np.pi * np.array([5.0, 20.0, 40.0])
+    wandered_s = sigma_s * np.random.default_rng(5).standard_normal(400_000)
+    mean = np.array([np.mean(np.cos(each * wandered_s)) for each in omega])
+    assert CameraView(jitter_s=sigma_s).follows(omega).real == pytest.approx(mean, abs=0.004)
+
+
+def test_a_clock_is_screened_as_one_that_was_right_at_the_start_and_in_mid_flight() -> None:
+    kind = catalogue()["clock-skew"]
+    terms = candidates_of([kind], [])
+    assert [term.effect.set_at_s for term in terms] == [0.0, 30.0]
+    model = flown()
+    for term in terms:
+        (candidate,) = screen([model], Flights([model], [kind]).null(), [term]).candidates
+        assert np.diag(candidate.information)[:2].min() > 0.0, "skew and what both have in common are told"
+
+
+def test_a_clock_that_was_set_is_told_apart_from_one_that_drifts() -> None:
+    step = next(kind for kind in generic_effects() if kind.name == "right side later from the middle on")()
+    late_s = T_S - step.from_values({"late_s": 0.004}).sample_time(Station.RIGHT, T_S)
+    assert late_s == pytest.approx(np.where(T_S > 30.0, 0.004, 0.0))
+    assert step.from_values({"late_s": 0.004}).sample_time(Station.LEFT, T_S) == pytest.approx(T_S)

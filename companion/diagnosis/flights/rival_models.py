@@ -48,14 +48,15 @@ def strongest_rival_model(
 ) -> RivalModel | None:
     """The law that explains most in place of all the names of a fit; None where none comes near.
 
-    ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
-    name may be that name to first order: it is a rival only by what it fits better, whatever else the name may do.
+    ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score the
+    parameters of a name can imitate may be that name to first order: it is a rival only by what it fits better,
+    whatever else the name may do.
     """
-    named = [EffectTerm(type(term.effect)(), term.channel) for term in named_fit.terms]
+    named = [_at_nothing(term) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *named])
     names = {term.effect.name for term in named}
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
-    alike = np.abs(screening.correlation[named_rows]).max(axis=0) if named_rows else np.zeros(len(screening.candidates))
+    alike = screening.imitation[named_rows].max(axis=0) if named_rows else np.zeros(len(screening.candidates))
     worth, count = penalised_log_likelihood, log_count(models)
     enough = _OUT_OF_REACH * worth(count, named_fit, null)
     leading = sorted(
@@ -74,6 +75,12 @@ def strongest_rival_model(
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
+
+
+def _at_nothing(term: EffectTerm) -> EffectTerm:
+    """A name at no strength, with the values that it would have been begun at."""
+    kind = type(term.effect)
+    return EffectTerm(kind.from_values({name: getattr(term.effect, name) for name in kind.scan}), term.channel)
 
 
 def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check]) -> list[EffectTerm]:

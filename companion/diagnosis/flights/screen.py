@@ -35,8 +35,8 @@ def screen(
         declared = term.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
         values = np.concatenate([null.values, [getattr(term.effect, entry.name) for entry in declared]])
-        # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
-        count = 1 if term.effect.scan else len(declared)
+        # a mode's frequency means nothing while its participation is 0: neither it nor what follows it has a column
+        count = next((k for k, entry in enumerate(declared) if entry.name in term.effect.scan), len(declared))
         only = range(len(null.values), len(null.values) + count)
         wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
         new_columns = derivatives(models, values, (*null.terms, term), null.state.expectations, wide, only)

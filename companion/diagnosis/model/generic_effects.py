@@ -48,6 +48,16 @@ TIMES: dict[str, _Sway] = {
 """Over time from -1 to 1 across the recording."""
 
 
+_INSTANTS = (
+    ("a sixth", -2.0 / 3.0),
+    ("a third", -1.0 / 3.0),
+    ("the middle", 0.0),
+    ("two thirds", 1.0 / 3.0),
+    ("five sixths", 2.0 / 3.0),
+)
+"""Of the recording."""
+
+
 @dataclass(frozen=True, slots=True)
 class GenericForce(Effect):
     """A force of either half's deflection and speed, in units of the rms spring force."""
@@ -233,6 +243,17 @@ class GenericClockDrift(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class GenericClockStep(GenericClockDrift):
+    """One side is later from some instant on: its clock was set."""
+
+    set_at: ClassVar[float] = 0.0  # from -1 to 1 across the recording
+
+    def sample_time(self, station: Station, t_s: Floats) -> Floats:
+        """The instant that a stamp shows, on its side."""
+        return t_s - self.late_s * (_across(t_s) > self.set_at) if station is self.station else t_s
+
+
+@dataclass(frozen=True, slots=True)
 class GenericLine(Effect):
     """One frequency in both sides' readings, alike or against each other."""
 
@@ -348,6 +369,11 @@ def generic_effects() -> list[type[Effect]]:
         _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
         _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),
         _kind(GenericClockDrift, "left side ever later", station=Station.LEFT),
+        *(
+            _kind(GenericClockStep, f"{side.name.lower()} side later from {what} on", station=side, set_at=at)
+            for side in (Station.RIGHT, Station.LEFT)
+            for what, at in _INSTANTS
+        ),
         *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in TOE),
         *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]

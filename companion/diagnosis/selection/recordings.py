@@ -132,4 +132,5 @@ class Recordings(ABC, Generic[TermT, State]):
 
 def no_correlation(candidates: Sequence[Candidate[TermT]]) -> Screening[TermT]:
     """A screening by refits, which tells nothing of how candidates go together."""
-    return Screening(tuple(sorted(candidates, key=lambda entry: -entry.z)), np.eye(len(candidates)))
+    apart = np.eye(len(candidates))
+    return Screening(tuple(sorted(candidates, key=lambda entry: -entry.z)), apart, apart)

@@ -81,10 +81,21 @@ class Candidate(Generic[TermT]):
 
 @dataclass(frozen=True, slots=True)
 class Screening(Generic[TermT]):
-    """All candidates, strongest first, and how far each can be told from the others."""
+    """All candidates, strongest first, and how far each can be told from the others.
+
+    Attributes
+    ----------
+    candidates
+    correlation : (n, n)
+        Of their scores, each along its own direction.
+    imitation : (n, n)
+        Correlation of the score of a column's candidate with that combination of the parameters of a row's candidate
+        which comes nearest to it.
+    """
 
     candidates: tuple[Candidate[TermT], ...]
     correlation: Floats
+    imitation: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +140,18 @@ def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) 
         directions[i, block] = candidate.direction
     shared = directions @ information @ directions.T
     scale = np.sqrt(np.maximum(np.diag(shared), 1e-30))
-    return Screening(tuple(entry[0] for entry in by_strength), shared / np.outer(scale, scale))
+    imitation = (
+        np.stack([_imitated(directions, information, block) for _, block in by_strength]) if by_strength else shared
+    )
+    candidates = tuple(candidate for candidate, _ in by_strength)
+    return Screening(candidates, shared / np.outer(scale, scale), imitation / scale)
+
+
+def _imitated(directions: Floats, information: Floats, block: slice) -> Floats:
+    """Standard deviation of each direction's score that the parameters of a block share, (n,)."""
+    common = directions @ information[:, block]
+    inverse = np.linalg.pinv(information[block, block], rcond=_BARELY, hermitian=True)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", common, inverse, common), 0.0)))
 
 
 def _candidate(tested: Tested[TermT], score: Floats, information: Floats) -> Candidate[TermT]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar
 
 from companion.core.wing.effect import Effect, Group, parameter
@@ -20,10 +21,11 @@ class ClockSkew(Effect):
     name: ClassVar[str] = "clock-skew"
     group: ClassVar[Group] = Group.SENSING
     advice: ClassVar[str] = "synchronise the nodes (TIMESYNC); record longer"
+    scan: ClassVar = MappingProxyType({"set_at_s": (0.0, 30.0)})
 
     skew_s_per_min: float = parameter("s/min", 0.005, "what the right stream falls behind the left one per minute")
     both_s_per_min: float = parameter("s/min", 0.005, "what both streams fall behind the exposures per minute")
-    set_at_s: float = parameter("s", 10.0, "when the clocks were right, from the recording's start")
+    set_at_s: float = parameter("s", 30.0, "when the clocks were right, from the recording's start")
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """The instant that the stamp shows."""
