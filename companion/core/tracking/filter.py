@@ -182,7 +182,7 @@ class SeparatedBiasFilter:
         return square / count if count > 0.0 else 1.0
 
     def gate_excess(self, count: int) -> Floats:
-        """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9); a view, where they lie together."""
+        """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9); may be a view."""
         first = (self.steps - count) % self.history_length
         if first + count <= self.history_length:
             return self.history.gate_excess[first : first + count]

@@ -55,7 +55,7 @@ _INSTANTS = (
     ("two thirds", 1.0 / 3.0),
     ("five sixths", 2.0 / 3.0),
 )
-"""Instants of a recording, and where they are from -1 to 1 across it; chosen: what lies between is told by both."""
+"""Instants of a recording, and where they lie from -1 to 1 across it."""
 
 
 @dataclass(frozen=True, slots=True)
