@@ -44,7 +44,7 @@ def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders(
     motion = model.expect(np.zeros(len(model.belief.nuisances))).motion
     rows = np.zeros((2, motion.modal.shape[0], 1), dtype=np.complex128)
     rows[:, 0] = 1.0
-    own, shared = (model._toe._wandering(motion, rows, 0.0, view.jitter_shared) for view in views)  # type: ignore[union-attr]
+    own, shared = (model._toe._wandering(motion, rows, 0.0, view) for view in views)  # type: ignore[union-attr]
     assert own == pytest.approx(0.5 * shared)
 
 
@@ -56,10 +56,10 @@ def test_exposures_that_wander_miss_a_fast_motion_on_average() -> None:
     assert CameraView(jitter_s=sigma_s).follows(omega).real == pytest.approx(mean, abs=0.004)
 
 
-def test_a_clock_is_screened_as_one_that_was_right_at_the_start_and_in_mid_flight() -> None:
+def test_a_clock_is_screened_as_right_at_the_start_in_the_middle_and_at_the_end_of_a_minute() -> None:
     kind = catalogue()["clock-skew"]
     terms = candidates_of([kind], [])
-    assert [term.effect.set_at_s for term in terms] == [0.0, 30.0]
+    assert [term.effect.set_at_s for term in terms] == [0.0, 30.0, 60.0]
     model = flown()
     for term in terms:
         (candidate,) = screen([model], Flights([model], [kind]).null(), [term]).candidates
@@ -67,7 +67,7 @@ def test_a_clock_is_screened_as_one_that_was_right_at_the_start_and_in_mid_fligh
 
 
 def test_a_clock_that_was_set_is_told_apart_from_one_that_drifts() -> None:
-    step = next(kind for kind in generic_effects() if kind.name == "right side later from the middle on")()
+    step = next(kind for kind in generic_effects() if kind.name == "right clock set after 1/2 of the recording")()
     late_s = T_S - step.from_values({"late_s": 0.004}).sample_time(Station.RIGHT, T_S)
     assert late_s == pytest.approx(np.where(T_S > 30.0, 0.004, 0.0))
     assert step.from_values({"late_s": 0.004}).sample_time(Station.LEFT, T_S) == pytest.approx(T_S)

@@ -27,6 +27,7 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, derivatives, joint_scores
 from companion.diagnosis.model.generic_effects import (
     GenericClockDrift,
+    GenericClockStep,
     GenericForce,
     GenericRollOff,
     GenericSensorLaw,
@@ -149,6 +150,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
     )
     # a smooth law is not told from a staircase, which has no slope to speak of
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
+    set_clocks = [kind for kind in kinds if issubclass(kind, GenericClockStep) and len(models) == 1]
     timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericClockDrift))]
     toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
     spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
@@ -158,6 +160,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
         _family(models, fitted, forces, "all forces together"),
         dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
         _family(models, fitted, timing),
+        dataclasses.replace(_family(models, fitted, set_clocks), scanned=True),
     ]
     if any(model.observations.toe is not None for model in models):
         families.append(_family(models, fitted, toe, "all range residuals together"))

@@ -16,7 +16,7 @@ from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit, log_count
-from companion.diagnosis.model.generic_effects import generic_effects, generic_lines
+from companion.diagnosis.model.generic_effects import OWN_LAWS, GenericClockStep, generic_effects, generic_lines
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.forward_selection import SAME, UNPHYSICAL, UNPREJUDICED, penalised_log_likelihood
 from companion.diagnosis.selection.score_tests import Candidate
@@ -50,7 +50,7 @@ def strongest_rival_model(
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score the
     parameters of a name can imitate may be that name to first order: it is a rival only by what it fits better,
-    whatever else the name may do.
+    whatever else the name may do. A name's own law, in another shape, is none.
     """
     named = [_at_nothing(term) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *named])
@@ -63,7 +63,7 @@ def strongest_rival_model(
         (
             (candidate, float(rho))
             for candidate, rho in zip(screening.candidates, alike, strict=True)
-            if candidate.log_odds > enough and candidate.name not in names
+            if candidate.log_odds > enough and candidate.name not in names and OWN_LAWS.get(candidate.name) not in names
         ),
         key=lambda entry: -entry[0].log_odds,
     )
@@ -85,7 +85,8 @@ def _at_nothing(term: EffectTerm) -> EffectTerm:
 
 def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check]) -> list[EffectTerm]:
     strength = {entry.name: abs(entry.z) for entry in before}
-    kinds = generic_effects()
+    # a clock that was set shows in what is left; its step, of one parameter, would pass for the drift of three
+    kinds = [kind for kind in generic_effects() if not issubclass(kind, GenericClockStep)]
     tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
     terms = [
         EffectTerm(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))

@@ -38,6 +38,14 @@ LAWS: dict[str, _Law] = {
 }
 """Over deflection and speed in units of their rms."""
 
+OWN_LAWS = {
+    "force with deflection squared": "quadratic-stiffness",
+    "force with deflection cubed": "cubic-stiffness",
+    "force with speed times its amount": "quadratic-damping",
+    "force with sign of speed": "coulomb-friction",
+}
+"""Laws that are those of names, as sharp or as smooth as the recording has them."""
+
 TIMES: dict[str, _Sway] = {
     "deflection, drifting in time": lambda x: x,
     "deflection, bowed in time": lambda x: 1.5 * x**2 - 0.5,
@@ -48,13 +56,7 @@ TIMES: dict[str, _Sway] = {
 """Over time from -1 to 1 across the recording."""
 
 
-_INSTANTS = (
-    ("a sixth", -2.0 / 3.0),
-    ("a third", -1.0 / 3.0),
-    ("the middle", 0.0),
-    ("two thirds", 1.0 / 3.0),
-    ("five sixths", 2.0 / 3.0),
-)
+_INSTANTS = {"1/6": -2.0 / 3.0, "1/3": -1.0 / 3.0, "1/2": 0.0, "2/3": 1.0 / 3.0, "5/6": 2.0 / 3.0}
 """Instants of a recording, and where they lie from -1 to 1 across it."""
 
 
@@ -243,10 +245,14 @@ class GenericClockDrift(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GenericClockStep(GenericClockDrift):
-    """One side is later from some instant on: its clock was set."""
+class GenericClockStep(Effect):
+    """The clock of one side is set at an instant: its stamps are late from then on."""
 
+    group: ClassVar[Group] = Group.SENSING
+    station: ClassVar[Station] = Station.RIGHT
     set_at: ClassVar[float] = 0.0  # from -1 to 1 across the recording
+
+    late_s: float = parameter("s", 0.002, "by what the clock was set back")
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """The instant that a stamp shows, on its side."""
@@ -370,9 +376,14 @@ def generic_effects() -> list[type[Effect]]:
         _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),
         _kind(GenericClockDrift, "left side ever later", station=Station.LEFT),
         *(
-            _kind(GenericClockStep, f"{side.name.lower()} side later from {what} on", station=side, set_at=at)
+            _kind(
+                GenericClockStep,
+                f"{side.name.lower()} clock set after {what} of the recording",
+                station=side,
+                set_at=at,
+            )
             for side in (Station.RIGHT, Station.LEFT)
-            for what, at in _INSTANTS
+            for what, at in _INSTANTS.items()
         ),
         *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in TOE),
         *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -65,15 +66,25 @@ class ToeModel:
             residual = residual - residual.mean()
         variance = np.full(len(residual), (self._belief.match_sigma_rad() * np.exp(deviation.get("match", 0.0))) ** 2)
         if views[0].jitter_s:
-            variance += views[0].jitter_s ** 2 * self._wandering(motion, rows, late_s, views[0].jitter_shared)
+            variance += views[0].jitter_s ** 2 * self._wandering(motion, self._scattered(wing, views), late_s, views[0])
         spread = [effect for effect in effects if isinstance(effect, GenericToeVariance)]
         if spread:
             offered = toe_variance_regressors(toe, *self._modes(motion))
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
 
-    def _wandering(self, motion: Motion, rows: Complexes, late_s: float, shared: float) -> Floats:
+    def _scattered(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:
+        """Rows whose rates tell the scatter of exposures that wander, (2, n, f).
+
+        A motion at omega scatters by 1 - exp(-x) times its amplitude squared where it is fastest, x = (omega sigma)^2:
+        x exp(-x / 2) to second order.
+        """
+        still = [dataclasses.replace(view, jitter_s=0.0) for view in views]
+        return np.asarray(self._slope(wing, still) * np.exp(-0.25 * (self._omega * views[0].jitter_s) ** 2))
+
+    def _wandering(self, motion: Motion, rows: Complexes, late_s: float, view: CameraView) -> Floats:
         """Square of the toe's rate for exposures that wander together, and of either camera's for the rest, (k,)."""
+        shared = view.jitter_shared
         left, right = (self._bending(motion, row * (1j * self._omega), late_s) for row in rows)
         return shared * (left + right) ** 2 + (1.0 - shared) * (left**2 + right**2)
 

@@ -21,7 +21,7 @@ class ClockSkew(Effect):
     name: ClassVar[str] = "clock-skew"
     group: ClassVar[Group] = Group.SENSING
     advice: ClassVar[str] = "synchronise the nodes (TIMESYNC); record longer"
-    scan: ClassVar = MappingProxyType({"set_at_s": (0.0, 30.0)})
+    scan: ClassVar = MappingProxyType({"set_at_s": (0.0, 30.0, 60.0)})
 
     skew_s_per_min: float = parameter("s/min", 0.005, "what the right stream falls behind the left one per minute")
     both_s_per_min: float = parameter("s/min", 0.005, "what both streams fall behind the exposures per minute")

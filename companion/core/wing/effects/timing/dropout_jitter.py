@@ -87,9 +87,9 @@ def _held(values: Floats) -> float:
 
     At either end of the values a sample may repeat because it is clipped.
     """
-    fine = len(np.unique(values)) > _FINE * len(values)
-    clear = (values[1:] > np.min(values)) & (values[1:] < np.max(values))
-    return float(np.mean((np.diff(values) == 0.0) & clear)) if fine else 0.0
+    clear = (values > np.min(values)) & (values < np.max(values))
+    fine = len(np.unique(values[clear])) > _FINE * np.count_nonzero(clear)
+    return float(np.mean((np.diff(values) == 0.0)[clear[1:]])) if fine and clear[1:].any() else 0.0
 
 
 def _about_the_mean(t_s: Floats) -> tuple[float, float]:
