@@ -47,7 +47,7 @@ class StreamRateMonitor:
             t_ns, before_hz = np.sort(np.concatenate(window.stamps)), window.spacing_hz
             window.stamps.clear()
             steps_ns = t_ns[1:] - t_ns[:-1]
-            middle = len(steps_ns) // 2
+            middle = len(steps_ns) // 2  # of an even number the upper one: between two alike there is nothing
             window.spacing_hz = hz = 1e9 / max(float(np.partition(steps_ns, middle)[middle]), 1.0)
             settled = abs(hz - before_hz) < _ALIKE * hz
             if settled and hz > _SLOWEST_HZ and not _LEAST <= hz / airframe.sensor(station).rate_hz <= _MOST:

@@ -86,6 +86,7 @@ static void describe(const double *log_params, int64_t count, double reference_h
 
 /* Points of the grid that are worked on at once: loops over them are done by the processor's vectors. */
 enum { BLOCK = 32 };
+_Static_assert((int)COARSE_POINTS <= (int)BLOCK, "the coarse points are one block");
 
 typedef double lane[BLOCK];
 

@@ -131,3 +131,5 @@ def test_a_record_is_laid_out_anew_where_it_is_another_one() -> None:
         fields = np.frombuffer(laid_out(other), np.int64)[1:].tolist()
         assert fields == [other.inner.at, id(other.inner.values), 1]
         assert np.frombuffer(laid_out(other), np.float64)[0] == other.step_s
+    steps_s = [np.frombuffer(laid_out(_Outer(float(k), _Inner(1, values), True)), np.float64)[0] for k in range(4)]
+    assert steps_s == [0.0, 1.0, 2.0, 3.0], "temporaries, whose places are used again"

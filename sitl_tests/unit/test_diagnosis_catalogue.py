@@ -225,7 +225,7 @@ def test_samples_show_their_faults_and_nothing_else() -> None:
     good = -9.8 + np.round(rng.standard_normal(20000), 5)
     t_s = np.arange(20000) / 1000.0 + 5e-5 * rng.standard_normal(20000)
     assert find_sample_defects(t_s, good, sensor) == []
-    for limit in (11.5, 10.8):  # of the second, one sample in 25 repeats the one before, clipped like it
+    for limit in (11.5, 10.8):  # of the second, one sample in 38 repeats the one before, clipped like it
         assert [entry.name for entry in find_sample_defects(t_s, np.clip(good, -limit, limit), sensor)] == [
             "saturation"
         ]

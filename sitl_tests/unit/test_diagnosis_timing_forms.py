@@ -8,11 +8,16 @@ import pytest
 from companion.core.wing.effect import CameraView, viewed
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.flights.proposals import candidates_of
-from companion.diagnosis.flights.recordings import Flights
+from companion.diagnosis.flights.recordings import Flights, diagnose
 from companion.diagnosis.flights.screen import screen
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import generic_effects
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.records import Side, Station
+from sitl_tests.trials.stranger.cases import fly_all, hide
 from sitl_tests.unit.test_diagnosis_generic_effects import flown
+from tools.trial_generators import STRANGER
+from tools.trial_judge import model_of
 
 T_S = np.linspace(0.0, 60.0, 7)
 
@@ -71,3 +76,33 @@ def test_a_clock_that_was_set_is_told_apart_from_one_that_drifts() -> None:
     late_s = T_S - step.from_values({"late_s": 0.004}).sample_time(Station.RIGHT, T_S)
     assert late_s == pytest.approx(np.where(T_S > 30.0, 0.004, 0.0))
     assert step.from_values({"late_s": 0.004}).sample_time(Station.LEFT, T_S) == pytest.approx(T_S)
+
+
+def _stranger(effects: dict[str, float], **extra: float) -> FlightModel:
+    """A minute by the other hand, without manoeuvres."""
+    label = hide([], (8.0, 8.0), np.random.default_rng(6))
+    label.effects.update(effects)
+    label.extra.update({"manoeuvres": 0.0} | extra)
+    (tables,) = fly_all([label], [20.0], 41)
+    return model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
+
+
+@pytest.mark.slow
+def test_a_left_clock_that_was_right_in_mid_flight_is_named_and_no_law_is_ahead() -> None:
+    drifts = _stranger({"clock-skew": -0.009}, **{"clock-skew.set_at": 0.5, "clock-skew.node": 0.0})
+    found = diagnose([drifts], [catalogue()[name] for name in ("clock-skew", "stream-delay", "torsion-coupling")])
+    assert found.verdict is DiagnosisVerdict.EXPLAINED
+    (cause,) = found.causes
+    assert cause.term.effect.name == "clock-skew"
+    skew, both, _ = cause.values
+    assert skew == pytest.approx(-0.009, abs=4.0 * cause.sigmas[0])
+    assert both == pytest.approx(0.009, abs=4.0 * cause.sigmas[1])
+
+
+@pytest.mark.slow
+def test_a_clock_that_was_set_shows_as_such_and_not_as_one_that_drifts() -> None:
+    flight = Flights([_stranger({"clock-step": 0.004})])  # of the right node, after two fifths
+    strength = {entry.name: abs(entry.z) for entry in flight.checks(flight.null())}
+    set_clock = max((name for name in strength if "clock set" in name), key=lambda name: strength[name])
+    assert set_clock in ("right clock set after 1/3 of the recording", "right clock set after 1/2 of the recording")
+    assert strength[set_clock] > max(strength["right side ever later"], 5.0)

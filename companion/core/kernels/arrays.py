@@ -34,7 +34,7 @@ def plain(array: _Array) -> _Array:
 
 
 def row_medians(values: Floats) -> Floats:
-    """Median of each row, (m,), of ``values`` (m, n): for short rows at a fraction of the price of numpy's."""
+    """Median of each row, (m,), of ``values`` (m, n): for short rows at a fraction of the price of numpy's; no NaN."""
     ordered, n = np.sort(values, axis=1), values.shape[1]
     return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
 

@@ -107,8 +107,8 @@ class CameraView:
 
     The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
     ``1/sqrt(softness_s2)`` rad/s with a damper of ``damper_s`` beside its loss; the image is the mean over a readout of
-    ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders,
-    ``jitter_shared`` the share of its square that both cameras have in common: on average a fast motion is missed.
+    ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders (on
+    average it misses a fast motion), ``jitter_shared`` the share of its square that both cameras have in common.
     """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
@@ -151,7 +151,8 @@ class Effect:
     advice: ClassVar[str] = ""
     """What would separate it from its neighbours, or mend it."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = MappingProxyType({})
-    """Values at which to begin for parameters that mean nothing while the others are 0 (a mode's frequency)."""
+    """Values at which to begin for parameters that mean nothing while those declared before them are 0 (a mode's
+    frequency). A first parameter cannot be one: those before the first of them are what is screened."""
     follows_channel: ClassVar[bool] = False
     """Whether it needs a recorded channel."""
     one_way: ClassVar[bool] = False
@@ -164,8 +165,8 @@ class Effect:
     """Whether it makes a staircase of readings, from which no smooth law of the sensors can be told."""
     transient: ClassVar[bool] = False
     """Whether it acts at instants of its own: then no block of a recording foretells another."""
-    only_toe_variance: ClassVar[bool] = False
-    """Whether it changes the variance of the measured toe and not its mean."""
+    adds_toe_variance: ClassVar[bool] = False
+    """Whether the variance of the measured toe follows from it, beside or in place of the mean."""
     starts_at: ClassVar[ResidualPeak | None] = None
     """Peak of the residual at which a fit begins, for what has a frequency or instants of its own."""
 

@@ -78,7 +78,7 @@ def strongest_rival_model(
 
 
 def _at_nothing(term: EffectTerm) -> EffectTerm:
-    """A name at no strength, with the values that it would have been begun at."""
+    """A name at no strength; what means nothing then, and is scanned for, is as it was fitted."""
     kind = type(term.effect)
     return EffectTerm(kind.from_values({name: getattr(term.effect, name) for name in kind.scan}), term.channel)
 

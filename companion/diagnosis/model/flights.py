@@ -167,7 +167,7 @@ def derivatives(
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
-        alone = keys[i].startswith("match") if owner is None else owner[0].only_toe_variance
+        noisy = keys[i].startswith("match") if owner is None else owner[0].adds_toe_variance
         for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
                 recording_columns.append(Column())
@@ -175,7 +175,7 @@ def derivatives(
             other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
             shift = model.time_shift(*owner) if owner is not None else model.delay_shift(keys[i])
             warps = owner is not None and shift is not None and type(owner[0]).response is Effect.response
-            recording_columns.append(column(expectation, other, step, alone, shift, warps, model.weight > 0.0))
+            recording_columns.append(column(expectation, other, step, noisy, shift, warps, model.weight > 0.0))
     return columns
 
 

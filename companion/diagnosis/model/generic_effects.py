@@ -175,7 +175,7 @@ class GenericToeVariance(Effect):
 
     group: ClassVar[Group] = Group.CAMERA
     one_way: ClassVar[bool] = True
-    only_toe_variance: ClassVar[bool] = True
+    adds_toe_variance: ClassVar[bool] = True
     grows_with: ClassVar[str]
 
     load_ratio: float = parameter("", 2.0, "of the variance that is there anyway")

@@ -52,14 +52,14 @@ def column(
     expectation: Expectation,
     perturbed: Expectation,
     step: float,
-    alone: bool,
+    noisy: bool,
     shift_s: Floats | None,
     warps: bool,
     judged: bool = True,
 ) -> Column:
     """Difference of two expectations ``step`` apart.
 
-    ``alone`` is for what changes the toe's noise and nothing else; accelerations that are not ``judged`` have none.
+    ``noisy`` is for what changes the toe's noise; accelerations that are not ``judged`` have none.
     """
     power = mean = toe = noise = rest = None
     if judged and perturbed.motion is not expectation.motion:
@@ -71,7 +71,7 @@ def column(
             mean = _whitened(expectation, (perturbed.residual - expectation.residual) / step)
     if len(expectation.toe_residual_rad):
         toe = (perturbed.toe_residual_rad - expectation.toe_residual_rad) / step
-        noise = (perturbed.toe_variance - expectation.toe_variance) / step if alone else None
+        noise = (perturbed.toe_variance - expectation.toe_variance) / step if noisy else None
     rest = (perturbed.rest_residual - expectation.rest_residual) / step
     return Column(power, mean, toe, noise, rest, shift_s, warps)
 

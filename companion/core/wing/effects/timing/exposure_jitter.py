@@ -19,7 +19,7 @@ class ExposureJitter(Effect):
 
     name: ClassVar[str] = "exposure-jitter"
     group: ClassVar[Group] = Group.CAMERA
-    only_toe_variance: ClassVar[bool] = True
+    adds_toe_variance: ClassVar[bool] = True
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "stamp exposures in hardware (a strobe line)"
 
