@@ -213,30 +213,27 @@ EXPORT int64_t estimate_squares(const array *ring_in, int64_t first, int64_t cou
 }
 
 /* Variance g^T P g over three states. */
-static double variance(const double *by, const double *covariance, int64_t n, const int64_t *index)
+static double variance(const double *by, const double *covariance)
 {
     double total = 0.0;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            total += by[i] * by[j] * covariance[index[i] * n + index[j]];
+            total += by[i] * by[j] * covariance[3 * i + j];
     return total;
 }
 
-/* Amplitude, phase and instantaneous frequency of one mode, each with its sigma, into (6,). `index`: states of
- * deflection, rate and load. */
-EXPORT int64_t estimate_oscillation(const array *state_in, const array *covariance_in, const array *index_in,
-                                    double static_m, double frequency_hz, double damping, double frequency_sigma_hz,
-                                    const array *out_in)
+/* Amplitude, phase and instantaneous frequency of one mode, each with its sigma, into (6,), by its deflection, rate and
+ * load (3,) and their covariance. */
+EXPORT int64_t estimate_oscillation(const array *state_in, const array *covariance_in, double static_m,
+                                    double frequency_hz, double damping, double frequency_sigma_hz, const array *out_in)
 {
     bool good = true;
     const double *state = reals(state_in, 1, &good), *covariance = reals(covariance_in, 2, &good);
-    const int64_t *index = integers(index_in, 1, &good);
     double *out = reals(out_in, 1, &good);
-    int64_t n = extent(covariance_in, 0);
-    if (!good || extent(state_in, 0) != n || extent(covariance_in, 1) != n || extent(index_in, 0) != 3 ||
-        extent(out_in, 0) != 6)
+    if (!good || extent(state_in, 0) != 3 || extent(covariance_in, 0) != 3 ||
+        extent(covariance_in, 1) != 3 || extent(out_in, 0) != 6)
         return BAD_ARRAY;
-    double q = state[index[0]] - static_m, v = state[index[1]], load = state[index[2]];
+    double q = state[0] - static_m, v = state[1], load = state[2];
     double omega = 2.0 * PI * frequency_hz, s = v / omega, square = q * q + s * s, power = most(square, 1e-18);
     double pull = -2.0 * damping * omega * v - squared(omega) * q + load, rate = (v * s - q * pull / omega) / power;
     double by_state[3] = {q / sqrt(power), s / omega / sqrt(power), 0.0};
@@ -245,10 +242,10 @@ EXPORT int64_t estimate_oscillation(const array *state_in, const array *covarian
                          (2.0 * v / omega + 2.0 * damping * q - 2.0 * v / squared(omega) * rate) / power,
                          -q / omega / power};
     out[0] = sqrt(square);
-    out[1] = sqrt(most(variance(by_state, covariance, n, index), 0.0));
+    out[1] = sqrt(most(variance(by_state, covariance), 0.0));
     out[2] = atan2(-s, q);
-    out[3] = sqrt(most(variance(by_phase, covariance, n, index), 0.0));
+    out[3] = sqrt(most(variance(by_phase, covariance), 0.0));
     out[4] = rate / (2.0 * PI);
-    out[5] = sqrt(variance(by_rate, covariance, n, index) + squared(2.0 * PI * frequency_sigma_hz)) / (2.0 * PI);
+    out[5] = sqrt(variance(by_rate, covariance) + squared(2.0 * PI * frequency_sigma_hz)) / (2.0 * PI);
     return 0;
 }

@@ -162,7 +162,6 @@ def mode_estimate(
     amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = oscillation(
         about @ state[index],
         about @ block @ about.T,
-        (0, 1, 2),
         static_m,
         parameters.frequency_hz,
         parameters.damping,
@@ -195,22 +194,15 @@ def _about_slow_load(covariance: Floats, frequency_hz: float) -> Floats:
     return np.array([[1.0, 0.0, -ratio], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0 - ratio / most]])
 
 
-_oscillation = kernel("estimate_oscillation", ARRAY, ARRAY, ARRAY, REAL, REAL, REAL, REAL, ARRAY)
+_oscillation = kernel("estimate_oscillation", ARRAY, ARRAY, REAL, REAL, REAL, REAL, ARRAY)
 
 
 def oscillation(
-    state: Floats,
-    covariance: Floats,
-    index: tuple[int, int, int],
-    static_m: float,
-    frequency_hz: float,
-    damping: float,
-    frequency_sigma_hz: float,
+    state: Floats, covariance: Floats, static_m: float, frequency_hz: float, damping: float, frequency_sigma_hz: float
 ) -> list[float]:
-    """Amplitude, phase and instantaneous frequency of one mode, each with its sigma."""
+    """Amplitude, phase and instantaneous frequency of a mode, with their sigmas, by deflection, rate and load (3,)."""
     out = np.empty(6)
-    mode = (static_m, frequency_hz, damping, frequency_sigma_hz)
-    _oscillation(state, covariance, np.array(index, np.int64), *mode, out)
+    _oscillation(state, covariance, static_m, frequency_hz, damping, frequency_sigma_hz, out)
     described: list[float] = out.tolist()
     return described
 

@@ -83,16 +83,10 @@ def rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_
 
 
 def oscillation(
-    state: Floats,
-    covariance: Floats,
-    index: tuple[int, int, int],
-    static_m: float,
-    frequency_hz: float,
-    damping: float,
-    frequency_sigma_hz: float,
+    state: Floats, covariance: Floats, static_m: float, frequency_hz: float, damping: float, frequency_sigma_hz: float
 ) -> tuple[float, float, float, float, float, float]:
     """Amplitude, phase and instantaneous frequency of one mode, each with its sigma."""
-    q, v, load = state[index[0]] - static_m, state[index[1]], state[index[2]]
+    q, v, load = state[0] - static_m, state[1], state[2]
     omega = 2.0 * np.pi * frequency_hz
     s = v / omega
     square = q * q + s * s
@@ -105,21 +99,12 @@ def oscillation(
     two_pi = 2.0 * np.pi
     return (
         np.sqrt(square),
-        np.sqrt(max(_variance(by_state, covariance, index), 0.0)),
+        np.sqrt(max(float(by_state @ covariance @ by_state), 0.0)),
         np.arctan2(-s, q),
-        np.sqrt(max(_variance(by_phase, covariance, index), 0.0)),
+        np.sqrt(max(float(by_phase @ covariance @ by_phase), 0.0)),
         rate / two_pi,
-        np.sqrt(_variance(by_rate, covariance, index) + (two_pi * frequency_sigma_hz) ** 2) / two_pi,
+        np.sqrt(float(by_rate @ covariance @ by_rate) + (two_pi * frequency_sigma_hz) ** 2) / two_pi,
     )
-
-
-def _variance(by: Floats, covariance: Floats, index: tuple[int, int, int]) -> float:
-    """Variance ``g^T P g`` over three states."""
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += by[i] * by[j] * covariance[index[i], index[j]]
-    return total
 
 
 def _rate_gradient(q: float, v: float, omega: float, damping: float, pull: float, rate: float, square: float) -> Floats:
