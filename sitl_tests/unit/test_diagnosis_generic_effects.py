@@ -303,3 +303,9 @@ def test_laws_along_with_deflection_and_speed_scale_stiffness_and_damping() -> N
     expected = 0.1 * np.sqrt(np.prod(np.diag(believed.damping_radps)[:2]))
     assert uneven.damping_radps[0, 1] == uneven.damping_radps[1, 0] == pytest.approx(expected)
     np.testing.assert_array_equal(np.diag(uneven.damping_radps), np.diag(believed.damping_radps))
+
+
+def test_an_effect_s_own_law_is_one_of_the_laws_without_a_name() -> None:
+    own = {kind.own_law for kind in catalogue().values() if kind.own_law}
+    assert own <= {kind.name for kind in generic_effects()}
+    assert "force with sign of speed" in own

@@ -163,6 +163,8 @@ class Effect:
     """Whether recorded samples show it by themselves (:meth:`sample_defect`): then nothing is fitted to it."""
     discretises: ClassVar[bool] = False
     """Whether it makes a staircase of readings, from which no smooth law of the sensors can be told."""
+    own_law: ClassVar[str] = ""
+    """Law without a name that is its own, as sharp or as smooth as a recording has it: no rival of the name."""
     transient: ClassVar[bool] = False
     """Whether it acts at instants of its own: then no block of a recording foretells another."""
     adds_toe_variance: ClassVar[bool] = False

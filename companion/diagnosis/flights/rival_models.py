@@ -16,7 +16,7 @@ from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit, log_count
-from companion.diagnosis.model.generic_effects import OWN_LAWS, GenericClockStep, generic_effects, generic_lines
+from companion.diagnosis.model.generic_effects import GenericClockStep, generic_effects, generic_lines
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.forward_selection import SAME, UNPHYSICAL, UNPREJUDICED, penalised_log_likelihood
 from companion.diagnosis.selection.score_tests import Candidate
@@ -55,6 +55,7 @@ def strongest_rival_model(
     named = [_at_nothing(term) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *named])
     names = {term.effect.name for term in named}
+    own_laws = {term.effect.own_law for term in named}
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
     alike = screening.imitation[named_rows].max(axis=0) if named_rows else np.zeros(len(screening.candidates))
     worth, count = penalised_log_likelihood, log_count(models)
@@ -63,7 +64,7 @@ def strongest_rival_model(
         (
             (candidate, float(rho))
             for candidate, rho in zip(screening.candidates, alike, strict=True)
-            if candidate.log_odds > enough and candidate.name not in names and OWN_LAWS.get(candidate.name) not in names
+            if candidate.log_odds > enough and candidate.name not in names | own_laws
         ),
         key=lambda entry: -entry[0].log_odds,
     )

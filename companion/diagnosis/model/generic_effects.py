@@ -38,14 +38,6 @@ LAWS: dict[str, _Law] = {
 }
 """Over deflection and speed in units of their rms."""
 
-OWN_LAWS = {
-    "force with deflection squared": "quadratic-stiffness",
-    "force with deflection cubed": "cubic-stiffness",
-    "force with speed times its amount": "quadratic-damping",
-    "force with sign of speed": "coulomb-friction",
-}
-"""Laws that are those of names, as sharp or as smooth as the recording has them."""
-
 TIMES: dict[str, _Sway] = {
     "deflection, drifting in time": lambda x: x,
     "deflection, bowed in time": lambda x: 1.5 * x**2 - 0.5,

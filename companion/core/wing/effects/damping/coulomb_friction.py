@@ -19,6 +19,7 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb-friction"
     group: ClassVar[Group] = Group.STRUCTURE
+    own_law: ClassVar[str] = "force with sign of speed"
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "record free decays down to rest: the envelope falls on a straight line"
 

@@ -17,6 +17,7 @@ class QuadraticDamping(Effect):
 
     name: ClassVar[str] = "quadratic-damping"
     group: ClassVar[Group] = Group.STRUCTURE
+    own_law: ClassVar[str] = "force with speed times its amount"
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "record free decays from a large amplitude: the envelope falls as 1/t"
 

@@ -19,6 +19,7 @@ class CubicStiffness(Effect):
 
     name: ClassVar[str] = "cubic-stiffness"
     group: ClassVar[Group] = Group.STRUCTURE
+    own_law: ClassVar[str] = "force with deflection cubed"
 
     kappa_per_m2: float = parameter("1/m^2", 1500.0, "relative stiffening per squared deflection")
 

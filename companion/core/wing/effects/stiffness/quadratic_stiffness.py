@@ -17,6 +17,7 @@ class QuadraticStiffness(Effect):
 
     name: ClassVar[str] = "quadratic-stiffness"
     group: ClassVar[Group] = Group.STRUCTURE
+    own_law: ClassVar[str] = "force with deflection squared"
     advice: ClassVar[str] = "load the wing statically both ways"
 
     kappa_per_m: float = parameter("1/m", 5.0, "relative stiffening per deflection")
