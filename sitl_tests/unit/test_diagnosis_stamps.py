@@ -184,3 +184,34 @@ def test_no_range_is_used_where_the_wing_was_not_seen(airframe: Airframe) -> Non
     assert np.diff(seen.toe.t_s).min() > 0.05
     assert not ((seen.toe.t_s > 7.4) & (seen.toe.t_s < 9.2)).any()
     assert np.diff(seen.toe.toe_rad).max() < 0.0
+
+
+def test_samples_that_are_no_numbers_count_as_lost(airframe: Airframe) -> None:
+    holed = VALUES.copy()
+    holed[5000:5030], holed[12_000] = np.nan, np.inf
+    tips = {Side.LEFT: RawStream(T_S, holed), Side.RIGHT: RawStream(T_S, VALUES)}
+    lost = np.isfinite(holed)
+    expected = {Side.LEFT: RawStream(T_S[lost], VALUES[lost]), Side.RIGHT: RawStream(T_S, VALUES)}
+    (got,), (as_lost,) = (observe(RawRecording(each), airframe, TOP_HZ) for each in (tips, expected))
+    np.testing.assert_array_equal(got.up_mps2, as_lost.up_mps2)
+    assert got.notes[0] == "left: 31 of 20000 samples are no numbers and count as lost"
+
+
+def test_what_was_recorded_with_the_root_stays_beside_it(airframe: Airframe) -> None:
+    rate = np.sin(T_S)
+    rate[7000:7010] = np.nan
+    channel = np.where(np.arange(COUNT) % 1000, T_S, np.nan)
+    raw = RawRecording(
+        {side: RawStream(T_S, VALUES) for side in Side},
+        RawStream(T_S, VALUES - 9.8),
+        covariates={"airspeed_mps": (T_S, channel)},
+        rigid={"p": (T_S, rate)},
+    )
+    (got,) = observe(raw, airframe, TOP_HZ)
+    assert "root: 10 of 20000 samples are no numbers and count as lost" in got.notes
+    assert all(np.isfinite(values).all() for values in (got.up_mps2, *got.covariates.values(), *got.rigid.values()))
+
+
+def test_a_stream_without_numbers_is_told(airframe: Airframe) -> None:
+    with pytest.raises(RecordingError, match="left: none of its 20000 samples is a number"):
+        observe(raw_of(T_S, np.full(COUNT, np.nan)), airframe, TOP_HZ)

@@ -54,11 +54,13 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
     Raises
     ------
     RecordingError
-        No wing accelerometer, or less than 8 s can be pieced together.
+        No wing accelerometer, no sample that is a number, or less than 8 s can be pieced together.
     """
     if not raw.tips:
         raise RecordingError("no wing accelerometer in this recording: diagnosis needs left_z or right_z")
-    ordered, notes = _ordered(raw)
+    raw, notes = _of_numbers(raw)
+    ordered, stamp_notes = _ordered(raw)
+    notes += stamp_notes
     streams = [stream.t_s for stream in (*ordered.tips.values(), *([ordered.root] if ordered.root else []))]
     segments = segments_of(streams)
     if not segments:
@@ -136,6 +138,40 @@ def _observed(
         recorded_ratio=1.0 - float(missing.mean()),
         bending_factor=bending_load(load, rate_hz, first_hz) if raw.root else None,
     )
+
+
+def _of_numbers(raw: RawRecording) -> tuple[RawRecording, list[str]]:
+    """The recording without rows that are no numbers, and how many were left out of each stream."""
+    notes: list[str] = []
+    tips = {side: _rows_of_numbers(stream, side.name.lower(), {}, notes)[0] for side, stream in raw.tips.items()}
+    root, rigid = raw.root, dict(raw.rigid)
+    if root is not None:
+        root, rigid = _rows_of_numbers(root, "root", rigid, notes)
+    covariates = {
+        name: (t_s[good], values[good])
+        for name, (t_s, values) in raw.covariates.items()
+        if (good := np.isfinite(t_s) & np.isfinite(values)).any()
+    }
+    ranges = raw.ranges
+    if ranges is not None and not (finite := np.isfinite(ranges.t_s) & np.isfinite(ranges.range_m)).all():
+        ranges = ranges.taken(np.flatnonzero(finite))
+    return RawRecording(tips, root, ranges, covariates, rigid), notes
+
+
+def _rows_of_numbers(
+    stream: RawStream, name: str, beside: Mapping[str, tuple[Floats, Floats]], notes: list[str]
+) -> tuple[RawStream, dict[str, tuple[Floats, Floats]]]:
+    """Rows of a stream, and of what was recorded with it, in which everything is a number."""
+    columns = [stream.t_s, stream.force_z_mps2, *(values for _, values in beside.values())]
+    lateral = stream.force_y_mps2
+    good = np.all([np.isfinite(column) for column in (*columns, *([] if lateral is None else [lateral]))], axis=0)
+    if good.all():
+        return stream, dict(beside)
+    if not good.any():
+        raise RecordingError(f"{name}: none of its {len(good)} samples is a number; look at what wrote the recording")
+    notes.append(f"{name}: {np.count_nonzero(~good)} of {len(good)} samples are no numbers and count as lost")
+    kept = RawStream(stream.t_s[good], stream.force_z_mps2[good], None if lateral is None else lateral[good])
+    return kept, {key: (t_s[good], values[good]) for key, (t_s, values) in beside.items()}
 
 
 def _ordered(raw: RawRecording) -> tuple[RawRecording, list[str]]:
