@@ -11,7 +11,7 @@ from companion.diagnosis.selection.cross_validation import CrossValidation, cros
 from companion.diagnosis.selection.fisher_scoring import State
 from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.forward_selection import ForwardSelection
-from companion.diagnosis.selection.recordings import Cause, Progress, Recordings
+from companion.diagnosis.selection.recordings import Cause, Progress, Recordings, SelectionPath
 from companion.diagnosis.selection.score_tests import Screening, TermT
 
 
@@ -58,8 +58,9 @@ def diagnose(
     if path.causes and (recordings.measures_nearest or all(entry.passed for entry in after)):
         progress("hold the names against laws without one", 0.0)
         objection = recordings.objection(null, before, path)
+        base = _without_what_foretells(recordings, path)
         gain = cross_validate(
-            recordings, null, path.fitted, lambda ratio: progress("measure the gain on held-out blocks", ratio)
+            recordings, base, path.fitted, lambda ratio: progress("measure the gain on held-out blocks", ratio)
         )
         if not objection and any(map(recordings.foretells, path.fitted.terms)) and not gain.improves:
             objection = "no extension predicts held-out blocks better"
@@ -83,6 +84,23 @@ def diagnose(
         gain,
         path.stages,
     )
+
+
+def _without_what_foretells(
+    recordings: Recordings[TermT, State], path: SelectionPath[TermT, State]
+) -> Fit[TermT, State]:
+    """The fit over which a path has its gain: that of the belief, with impulses where others stand beside them.
+
+    No block foretells another's impulses. A belief without them takes them for a rougher flight, in which those of a
+    held-out block surprise it less than a model that knows the flight to be calm: what stands beside them would lose.
+    """
+    null = path.stages[0]
+    kept = tuple(term for term in path.fitted.terms if not recordings.foretells(term))
+    if not kept or len(kept) == len(path.fitted.terms):
+        return null
+    keys = [term.key for term in kept]
+    stage = next((stage for stage in path.stages if [term.key for term in stage.terms] == keys), None)
+    return stage or recordings.fit(kept, null)
 
 
 def _verdict(causes: Sequence[Cause[TermT]], after: Sequence[Check], objection: str) -> tuple[DiagnosisVerdict, str]:
