@@ -58,7 +58,7 @@ def diagnose(
     if path.causes and (recordings.measures_nearest or all(entry.passed for entry in after)):
         progress("hold the names against laws without one", 0.0)
         objection = recordings.objection(null, before, path)
-        base = _without_what_foretells(recordings, path)
+        base = _base_of_gain(recordings, path)
         gain = cross_validate(
             recordings, base, path.fitted, lambda ratio: progress("measure the gain on held-out blocks", ratio)
         )
@@ -86,9 +86,7 @@ def diagnose(
     )
 
 
-def _without_what_foretells(
-    recordings: Recordings[TermT, State], path: SelectionPath[TermT, State]
-) -> Fit[TermT, State]:
+def _base_of_gain(recordings: Recordings[TermT, State], path: SelectionPath[TermT, State]) -> Fit[TermT, State]:
     """The fit over which a path has its gain: that of the belief, with impulses where others stand beside them.
 
     No block foretells another's impulses. A belief without them takes them for a rougher flight, in which those of a
