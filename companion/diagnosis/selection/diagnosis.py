@@ -93,12 +93,12 @@ def _base_of_gain(recordings: Recordings[TermT, State], path: SelectionPath[Term
     held-out block surprise it less than a model that knows the flight to be calm: what stands beside them would lose.
     """
     null = path.stages[0]
-    kept = tuple(term for term in path.fitted.terms if not recordings.foretells(term))
-    if not kept or len(kept) == len(path.fitted.terms):
+    transients = tuple(term for term in path.fitted.terms if not recordings.foretells(term))
+    if not transients or len(transients) == len(path.fitted.terms):
         return null
-    keys = [term.key for term in kept]
+    keys = [term.key for term in transients]
     stage = next((stage for stage in path.stages if [term.key for term in stage.terms] == keys), None)
-    return stage or recordings.fit(kept, null)
+    return stage or recordings.fit(transients, null)
 
 
 def _verdict(causes: Sequence[Cause[TermT]], after: Sequence[Check], objection: str) -> tuple[DiagnosisVerdict, str]:
