@@ -170,8 +170,8 @@ def _rows_of_numbers(
     if not good.any():
         raise RecordingError(f"{name}: none of its {len(good)} samples is a number; look at what wrote the recording")
     notes.append(f"{name}: {np.count_nonzero(~good)} of {len(good)} samples are no numbers and count as lost")
-    kept = RawStream(stream.t_s[good], stream.force_z_mps2[good], None if lateral is None else lateral[good])
-    return kept, {key: (t_s[good], values[good]) for key, (t_s, values) in beside.items()}
+    finite = RawStream(stream.t_s[good], stream.force_z_mps2[good], None if lateral is None else lateral[good])
+    return finite, {key: (t_s[good], values[good]) for key, (t_s, values) in beside.items()}
 
 
 def _ordered(raw: RawRecording) -> tuple[RawRecording, list[str]]:
