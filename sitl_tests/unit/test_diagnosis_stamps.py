@@ -215,3 +215,14 @@ def test_what_was_recorded_with_the_root_stays_beside_it(airframe: Airframe) -> 
 def test_a_stream_without_numbers_is_told(airframe: Airframe) -> None:
     with pytest.raises(RecordingError, match="left: none of its 20000 samples is a number"):
         observe(raw_of(T_S, np.full(COUNT, np.nan)), airframe, TOP_HZ)
+
+
+def test_a_range_that_is_no_number_is_left_out_and_an_infinite_one_is_not(airframe: Airframe) -> None:
+    at_s = np.arange(1.0, 19.0, 0.1)
+    range_m = 40.0 + np.zeros(len(at_s))
+    range_m[20], range_m[30] = np.nan, np.inf
+    tips = {side: RawStream(T_S, VALUES) for side in Side}
+    (got,) = observe(RawRecording(tips, None, RawRanges(at_s, range_m, np.full(len(at_s), 40.0))), airframe, TOP_HZ)
+    assert got.toe is not None
+    assert len(got.toe.t_s) == len(at_s) - 1
+    assert np.isfinite(got.toe.toe_rad).all()

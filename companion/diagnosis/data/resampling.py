@@ -153,8 +153,10 @@ def _of_numbers(raw: RawRecording) -> tuple[RawRecording, list[str]]:
         if (good := np.isfinite(t_s) & np.isfinite(values)).any()
     }
     ranges = raw.ranges
-    if ranges is not None and not (finite := np.isfinite(ranges.t_s) & np.isfinite(ranges.range_m)).all():
-        ranges = ranges.taken(np.flatnonzero(finite))
+    if ranges is not None:
+        reference_m = ranges.range_m if ranges.reference_m is None else ranges.reference_m
+        measured = np.isfinite(ranges.t_s) & ~np.isnan(ranges.range_m) & ~np.isnan(reference_m)  # infinite ones are
+        ranges = ranges if measured.all() else ranges.taken(np.flatnonzero(measured))
     return RawRecording(tips, root, ranges, covariates, rigid), notes
 
 
