@@ -218,11 +218,11 @@ def test_a_stream_without_numbers_is_told(airframe: Airframe) -> None:
 
 
 def test_a_range_that_is_no_number_is_left_out_and_an_infinite_one_is_not(airframe: Airframe) -> None:
-    at_s = np.arange(1.0, 19.0, 0.1)
+    at_s = np.arange(4.0, 16.0, 0.1)  # clear of the ends, where the smoothed wing is not known
     range_m = 40.0 + np.zeros(len(at_s))
-    range_m[20], range_m[30] = np.nan, np.inf
+    range_m[50], range_m[70] = np.nan, np.inf
     tips = {side: RawStream(T_S, VALUES) for side in Side}
     (got,) = observe(RawRecording(tips, None, RawRanges(at_s, range_m, np.full(len(at_s), 40.0))), airframe, TOP_HZ)
     assert got.toe is not None
-    assert len(got.toe.t_s) == len(at_s) - 1
+    np.testing.assert_array_equal(got.toe.t_s, np.delete(at_s, 50))
     assert np.isfinite(got.toe.toe_rad).all()
