@@ -13,6 +13,7 @@ from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import PairConditions, correct
 from companion.core.stereo.triangulation import match_rays
+from companion.core.stereo.vehicle_motion import STILL
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -286,3 +287,18 @@ def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away(airframe
     alone = steady if airframe.orientation else steady * mounting / np.hypot(steady, mounting)
     assert sigma[0] > 0.9 * alone
     assert sigma[1] < sigma[0] if airframe.orientation else sigma[1] > 0.9 * alone
+
+
+def test_lift_of_the_tips_against_each_other_turns_the_baseline_alone() -> None:
+    """An antisymmetric deflection of sigma s moves the tips apart by twice that; a symmetric one moves both alike."""
+    airframe = nadir()
+    rig = Rig.from_airframe(airframe)
+    drift, wing = ExtrinsicsDriftFilter(rig, airframe), bend((TRUE_SLOPE, TRUE_SLOPE), t_ns=0)
+    gains = rig.left.lift_gain + rig.right.lift_gain
+    for mode, sigma_rad in ((0, 0.0), (1, gains * 0.05 / rig.baseline_m)):
+        covariance = np.zeros((6, 6))
+        covariance[mode, mode] = 0.05**2
+        doubted = dataclasses.replace(wing, covariance=covariance)
+        moving = exposures(rig, TipMotion.from_airframe(airframe), doubted, doubted)
+        shift = drift._shift((doubted, doubted), moving, 0.0, STILL)
+        assert np.sqrt(np.diag(shift)) == pytest.approx([0.0, sigma_rad], abs=1e-12)

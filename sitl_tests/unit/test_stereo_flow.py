@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from companion.core.stereo.epipolar import EpipolarFilter
 from companion.core.stereo.epipolar_posterior import Posterior, with_considered_states, with_flow
 from companion.core.stereo.epipolar_states import (
     ALL_STATES,
+    BASELINE,
     CONSIDERED_IN_FLOW_STATES,
     LENS,
     NO_BEND,
+    SHIFT,
     TURN_RATE,
     VELOCITY,
     YAW,
@@ -22,7 +25,7 @@ from companion.core.stereo.epipolar_states import (
 )
 from companion.core.stereo.flow import FlightBetween, FlowInnovation, FlowView
 from companion.core.stereo.geometry import Pose, Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS
+from companion.core.stereo.lens_residual import PAIR_TERMS, RADIAL, RADIAL_MEAN
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import TurnTrack, VehicleTrack, turn_covariance
@@ -35,20 +38,35 @@ _EPIPOLAR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _MAY_BE_RAD, _MAY_BE_MPS = 2e-3, 0.3
 
 
-def _view(toe_rad: float = 0.0, faster_mps: float = 0.0, noise_rad: float = 0.0, seed: int = 1) -> FlowView:
-    """Ground 60 m below, seen twice; the cameras part by a toe, and fly faster, than is believed."""
+def _view(
+    toe_rad: float = 0.0,
+    faster_mps: float = 0.0,
+    noise_rad: float = 0.0,
+    seed: int = 1,
+    *,
+    radial: tuple[float, float] = (0.0, 0.0),
+    lower_m: float = 0.0,
+    bank: float = 0.0,
+) -> FlowView:
+    """Ground 60 m below, seen twice; the cameras part by a toe, and fly faster, than is believed.
+
+    ``radial`` are terms of both lenses that nobody knows; the right camera sits lower than believed, and the ground
+    rises to the right by the slope ``bank``.
+    """
     rng = np.random.default_rng(seed)
     turn_rad = np.array([0.02, -0.01, 0.015])
     points = np.column_stack([rng.uniform(-18, 18, 150), rng.uniform(-20, 20, 150), 60.0 + rng.uniform(-6, 6, 150)])
+    points[:, 2] -= bank * points[:, 1]
     left_m, right_m = np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])
     half = np.array([0.0, 0.5 * toe_rad, 0.0]) @ _EPIPOLAR
-    seen_left = _slopes((points - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng)
-    seen_right = _slopes((points - right_m) @ exp_rotation(-half).T @ _DOWN.T, noise_rad, rng)
+    seen_left = _slopes((points - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, radial[0])
+    right_points = points - right_m - np.array([0.0, 0.0, lower_m])
+    seen_right = _slopes(right_points @ exp_rotation(-half).T @ _DOWN.T, noise_rad, rng, radial[1])
     # the earlier body axes: those of the later ones turned back, and moved back along the path
     moved_m = np.array([_SPEED_MPS * _PASSED_S, 0.0, 0.0])
     true_moved_m = moved_m + np.array([faster_mps * _PASSED_S, 0.0, 0.0])
     before = points @ exp_rotation(turn_rad).T + true_moved_m
-    seen_before = _slopes((before - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng)
+    seen_before = _slopes((before - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, radial[0])
     pose, count = Pose(_DOWN, left_m), len(points)
     covariance = _MAY_BE_MPS**2 * np.eye(3)
     return FlowView(
@@ -64,8 +82,9 @@ def _view(toe_rad: float = 0.0, faster_mps: float = 0.0, noise_rad: float = 0.0,
     )
 
 
-def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator) -> Floats:
+def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator, radial: float = 0.0) -> Floats:
     rays = points / points[:, 2:]
+    rays[:, :2] *= 1.0 + radial * (rays[:, :2] ** 2).sum(axis=1, keepdims=True)
     rays[:, :2] += noise_rad * rng.standard_normal((len(points), 2))
     return rays
 
@@ -97,12 +116,59 @@ def test_what_is_known_of_velocity_and_turn_is_in_the_prediction() -> None:
     assert np.abs(told_view.innovation(*level, off_mps, off_rad).residual_rad).max() < 1e-9
 
 
+def test_radial_terms_that_are_known_leave_nothing() -> None:
+    """The left lens bends both of its rays: a difference and a mean of 6 and 4 thousandths leave second order alone."""
+    view, terms = _view(radial=(7e-3, 1e-3)), np.zeros(PAIR_TERMS)
+    left_as = view.innovation(np.zeros(3), terms).residual_rad
+    terms[[RADIAL, RADIAL_MEAN]] = 6e-3, 4e-3
+    assert np.abs(view.innovation(np.zeros(3), terms).residual_rad).max() < 0.02 * np.abs(left_as).max()
+
+
+def test_a_place_of_the_right_camera_that_is_known_leaves_nothing() -> None:
+    """The right camera 40 mm lower: the baseline points down by 0.02."""
+    view, level = _view(lower_m=0.04), (np.zeros(3), np.zeros(PAIR_TERMS), np.zeros(3), np.zeros(3))
+    assert np.abs(view.innovation(*level).residual_rad).max() > 1e-4
+    assert np.abs(view.innovation(*level, np.array([0.0, 0.02])).residual_rad).max() < 1e-7
+
+
+@pytest.mark.parametrize("term", [RADIAL, RADIAL_MEAN])
+def test_derivatives_by_radial_terms_are_those_of_differences(term: int) -> None:
+    """Through the depth and through the left camera's own rays."""
+    view, step = _view(), 1e-5 * np.eye(PAIR_TERMS)[term]
+    none = np.zeros(PAIR_TERMS)
+    base, moved = view.innovation(np.zeros(3), none), view.innovation(np.zeros(3), step)
+    assert np.allclose((base.residual_rad - moved.residual_rad) / 1e-5, base.lens[:, term], atol=2e-4)
+
+
+@pytest.mark.parametrize("axis", range(2))
+def test_derivatives_by_the_baseline_are_those_of_differences(axis: int) -> None:
+    """As those by turn and velocity."""
+    view, level = _view(bank=0.3), (np.zeros(3), np.zeros(PAIR_TERMS), np.zeros(3), np.zeros(3))
+    base, moved = view.innovation(*level), view.innovation(*level, 1e-5 * np.eye(2)[axis])
+    assert np.allclose((base.residual_rad - moved.residual_rad) / 1e-5, base.baseline[:, axis], atol=2e-4)
+
+
+def test_a_wing_whose_lift_is_unknown_bends_no_toe_in_a_bank() -> None:
+    """A right tip 100 mm too low tilts the depths as a bank does: where nobody doubts its place, the toe is wrong."""
+    errors = {}
+    for sigma in (1e-3, 0.05):
+        before = _before()
+        before.covariance[SHIFT, SHIFT] = sigma**2 * np.eye(2)
+        view = _view(lower_m=0.1, bank=0.35, noise_rad=_NOISE_RAD)
+        baseline = np.zeros(2)
+        innovation = view.innovation(np.zeros(3), np.zeros(PAIR_TERMS), np.zeros(3), np.zeros(3), baseline)
+        answer = with_flow(before, innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+        errors[sigma] = math.inf if answer is None else abs(answer.mean[YAW]) / math.sqrt(answer.covariance[YAW, YAW])
+    assert errors[0.05] < 3.0 < errors[1e-3]
+
+
 def test_the_filter_predicts_the_flow_with_the_velocity_that_it_knows(monkeypatch: pytest.MonkeyPatch) -> None:
     """And with its turn in the time between the exposures."""
     view, asked = _view(), []
     filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
     answer = _before()
     answer.mean[VELOCITY], answer.mean[TURN_RATE] = (0.2, 1.1, -0.1), (1e-3, 2e-3, 3e-3)
+    answer.mean[BASELINE], answer.mean[SHIFT] = (1e-3, 2e-3), (3e-3, -1e-3)
     predict = FlowView.innovation
 
     def spied(self: FlowView, *states: Floats) -> FlowInnovation:
@@ -113,6 +179,7 @@ def test_the_filter_predicts_the_flow_with_the_velocity_that_it_knows(monkeypatc
     filtered._flown(answer, view, NO_BEND, 0)
     assert np.array_equal(asked[2], [0.2, 1.1, -0.1])
     assert np.allclose(asked[3], _PASSED_S * np.array([1e-3, 2e-3, 3e-3]))
+    assert np.allclose(asked[4], [4e-3, 1e-3])
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -181,7 +248,7 @@ def test_a_path_that_is_too_long_shows_in_the_velocity_and_is_doubted_or_refused
 
 def test_a_doubted_flow_leaves_a_covariance_that_is_positive() -> None:
     """The considered lens terms are put back as they were; the doubt must not stay in their cross-covariances."""
-    before, (prism, _) = _before(5e-4), CONSIDERED_IN_FLOW_STATES
+    before, (prism,) = _before(5e-4), CONSIDERED_IN_FLOW_STATES
     covariance = before.covariance.copy()
     covariance[LENS, LENS] = 1e-7 * np.eye(PAIR_TERMS)
     covariance[YAW, prism] = covariance[prism, YAW] = -0.99 * np.sqrt(covariance[YAW, YAW] * covariance[prism, prism])

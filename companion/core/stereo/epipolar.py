@@ -22,6 +22,7 @@ from companion.core.stereo.epipolar_posterior import (
     with_flow,
 )
 from companion.core.stereo.epipolar_states import (
+    BASELINE,
     BEND,
     BEND_SCALE,
     CONSIDERED_IN_FLOW_STATES,
@@ -32,6 +33,7 @@ from companion.core.stereo.epipolar_states import (
     NO_BEND,
     NO_SHIFT,
     PERSISTENT_STATES,
+    SHIFT,
     SLOW_STATES,
     TURN_RATE,
     VELOCITY,
@@ -209,7 +211,13 @@ class EpipolarFilter:
         A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
-        innovation = flow.innovation(rotation_rows(bend) @ mean, mean[LENS], mean[VELOCITY], passed_s * mean[TURN_RATE])
+        innovation = flow.innovation(
+            rotation_rows(bend) @ mean,
+            mean[LENS],
+            mean[VELOCITY],
+            passed_s * mean[TURN_RATE],
+            mean[BASELINE] + mean[SHIFT],
+        )
         updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend)
         if updated is None:
             used_ns = self._flow_used_ns

@@ -166,14 +166,14 @@ def with_flow(
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
-    columns = np.concatenate([flow.rotation, flow.lens, flow.turn, flow.velocity], axis=1)
+    columns = np.concatenate([flow.rotation, flow.lens, flow.baseline, flow.turn, flow.velocity], axis=1)
     finite = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad) & np.isfinite(columns).all(axis=1)
     if np.count_nonzero(finite) < 2 * LEAST_FLOW:
         return None
     add_up = rotation_rows(bend)
     design = np.zeros((len(finite), ALL_STATES + 3))
     design[:, :ALL_STATES] = flow.rotation @ add_up
-    design[:, LENS] = flow.lens
+    design[:, LENS], design[:, BASELINE], design[:, SHIFT] = flow.lens, flow.baseline, flow.baseline
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
     design[:, ALL_STATES:] = flow.turn
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]

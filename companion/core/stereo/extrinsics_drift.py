@@ -14,7 +14,7 @@ import numpy as np
 from companion.core.stereo.consistency_gate import MatchVerdict
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_states import SYSTEMATIC_DOWN_RAD, BendBelief, ExtrinsicsPrior, FastBelief
-from companion.core.stereo.exposure import CameraExposure
+from companion.core.stereo.exposure import CameraExposure, tip_signs
 from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS, mean_tilt_variance, pair_variances
@@ -108,7 +108,7 @@ class ExtrinsicsDriftFilter:
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
-        shift = self._shift(exposures, timing_sigma_s, motion)
+        shift = self._shift(bend, exposures, timing_sigma_s, motion)
         update = None
         if use_matches:
             update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow)
@@ -186,14 +186,21 @@ class ExtrinsicsDriftFilter:
         return FastBelief(covariance + np.outer(in_manoeuvre_rad, in_manoeuvre_rad), time_s)
 
     def _shift(
-        self, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion
+        self,
+        bend: tuple[Deflection, Deflection],
+        exposures: tuple[CameraExposure, CameraExposure],
+        timing_sigma_s: float,
+        motion: VehicleMotion,
     ) -> Floats:
-        """Covariance (2, 2) of this pair's baseline direction, y and z: flight between the exposures, stamps of it."""
+        """Covariance (2, 2) of this pair's baseline direction, y and z: lift of both tips, flight between exposures."""
         apart_s = exposures[Side.RIGHT].after_s - exposures[Side.LEFT].after_s
         across = self._filter.epipolar_from_body[1:] / self._rig.baseline_m
         stamps = math.sqrt(2.0) * timing_sigma_s * (across @ motion.velocity_mps)
+        gains = [self._rig.camera(side).lift_gain * tip_signs(side) for side in Side]
+        lift = np.outer(across[:, 2], gains[Side.RIGHT] - gains[Side.LEFT])
+        deflection = np.nan_to_num(0.5 * (bend[Side.LEFT].covariance[:2, :2] + bend[Side.RIGHT].covariance[:2, :2]))
         covariance: Floats = apart_s**2 * (across @ motion.covariance @ across.T) + np.outer(stamps, stamps)
-        return covariance
+        return covariance + lift @ deflection @ lift.T
 
 
 def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.geometry import Pose
-from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
+from companion.core.stereo.lens_residual import PAIR_TERMS, left_radial, radial_field, straightened
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Floats
@@ -29,6 +29,7 @@ LEAST_FLOW = 12
 """Features, of a rotation, a velocity and the toe (choice)."""
 _STEP = 1e-6  # of the difference quotients
 _NONE: Floats = np.zeros(3)
+_STRAIGHT: Floats = np.zeros(2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +47,8 @@ class FlowInnovation:
         half turn of the left camera's own axes, under 2 % of it, is left out.
     lens : (2m, 7) float64
         Per unit of each term of the pair's lens residual.
+    baseline : (2m, 2) float64
+        Per radian of the baseline's direction across the epipolar frame's x, y and z.
     turn : (2m, 3) float64
         Per radian of error of the body's turn, a rotation vector in epipolar axes.
     velocity : (2m, 3) float64
@@ -56,6 +59,7 @@ class FlowInnovation:
     sigma_rad: Floats
     rotation: Floats
     lens: Floats
+    baseline: Floats
     turn: Floats
     velocity: Floats
 
@@ -127,7 +131,12 @@ class FlowView:
         return turned
 
     def innovation(
-        self, rotation_rad: Floats, lens: Floats, velocity_mps: Floats = _NONE, turn_rad: Floats = _NONE
+        self,
+        rotation_rad: Floats,
+        lens: Floats,
+        velocity_mps: Floats = _NONE,
+        turn_rad: Floats = _NONE,
+        baseline: Floats = _STRAIGHT,
     ) -> FlowInnovation:
         """Observed less predicted directions.
 
@@ -139,19 +148,25 @@ class FlowView:
             Lens terms.
         velocity_mps, turn_rad : (3,) float64
             Errors of velocity and turn that are known already, epipolar axes: flown less told.
+        baseline : (2,) float64
+            Error of the baseline's direction, y and z: places of the cameras against each other.
         """
-        inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens)
+        inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens, baseline)
         half = self._half_turn(rotation_rad)
+        radial, per_term = left_radial(lens)
+        bent_earlier, bent_later = radial_field(self.earlier), radial_field(self.later)
+        earlier, later = self.earlier[:, :2] - radial * bent_earlier[:, :2], self.later - radial * bent_later
         earlier_from_body = self.earlier_pose.camera_from_body @ half
         body_from_epipolar = self.epipolar_from_body.T
         turned = exp_rotation(body_from_epipolar @ turn_rad) @ exp_rotation(self.between.turn_rad)
         moved_m = self.between.moved_m + self.between.passed_s * (body_from_epipolar @ velocity_mps)
-        in_body = self.later @ (self.later_pose.camera_from_body @ half) @ turned.T
+        body_from_later = turned @ (self.later_pose.camera_from_body @ half).T
+        in_body = later @ body_from_later.T
         shift_m = turned @ self.later_pose.position_body_m + moved_m - self.earlier_pose.position_body_m
         path_m, direction_at_infinity = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
 
         slopes, project = _projected(direction_at_infinity + inverse_pm[:, np.newaxis] * path_m)
-        residual, per_inverse = self.earlier[:, :2] - slopes, project @ path_m
+        residual, per_inverse = earlier - slopes, project @ path_m
         place_variance, depth_variance = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
         # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
         # noise would be in rows and residual alike, and feign a velocity.
@@ -161,9 +176,13 @@ class FlowView:
         per_inverse = project @ path_m
         direction_per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
         path_per_velocity_s = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
+        direction_per_radial = -bent_later @ body_from_later.T @ earlier_from_body.T
+        per_radial = bent_earlier[:, :2] + (project @ direction_per_radial[..., np.newaxis])[..., 0]
+        per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
+        per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_radial[:, :, np.newaxis] * per_term
         columns = np.concatenate(
             [
-                per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :],
+                per_depth,
                 project @ direction_per_turn.transpose(0, 2, 1),
                 project @ path_per_velocity_s * adjusted_pm[:, np.newaxis, np.newaxis],
             ],
@@ -176,14 +195,15 @@ class FlowView:
         return FlowInnovation(
             (axes @ residual[..., np.newaxis]).ravel(),
             np.sqrt(np.stack([place_variance + depth_variance, place_variance], axis=1)).ravel(),
-            *np.split(rows, np.cumsum([3, PAIR_TERMS, 3]), axis=1),
+            *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3]), axis=1),
         )
 
-    def _inverse_depths(self, rotation_rad: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
-        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 10) per state."""
-        changed = [self._turned(rotation_rad, lens)]
-        changed += [self._turned(rotation_rad + _STEP * axis, lens) for axis in np.eye(3)]
-        changed += [self._turned(rotation_rad, lens + _STEP * term) for term in np.eye(PAIR_TERMS)]
+    def _inverse_depths(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> tuple[Floats, Floats, Floats]:
+        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 12) per state."""
+        changed = [self._turned(rotation_rad, lens, baseline)]
+        changed += [self._turned(rotation_rad + _STEP * axis, lens, baseline) for axis in np.eye(3)]
+        changed += [self._turned(rotation_rad, lens + _STEP * term, baseline) for term in np.eye(PAIR_TERMS)]
+        changed += [self._turned(rotation_rad, lens, baseline + _STEP * axis) for axis in np.eye(2)]
         stacked = Rays.stacked(changed)
         half = self._half_turn(rotation_rad)
         look = self.later_pose.camera_from_body[2] @ half
@@ -198,11 +218,13 @@ class FlowView:
         """Half of a relative rotation (3,), epipolar axes, as a matrix in body axes."""
         return exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
 
-    def _turned(self, rotation_rad: Floats, lens: Floats) -> Rays:
-        """Rays with half of the relative rotation in each camera and the lens residual taken out."""
+    def _turned(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> Rays:
+        """Rays with half of the relative rotation in each camera, the right one moved, the lens residual taken out."""
         half = self._half_turn(rotation_rad)
         rays = self.rays
-        turned = Rays(rays.left_m, rays.left @ half, rays.right_m, rays.right @ half.T)
+        baseline_m = np.linalg.norm(rays.right_m - rays.left_m, axis=1)[:, np.newaxis]
+        right_m = rays.right_m + baseline_m * (baseline @ self.epipolar_from_body[1:])
+        turned = Rays(rays.left_m, rays.left @ half, right_m, rays.right @ half.T)
         return straightened(turned, lens, self.epipolar_from_body)
 
 

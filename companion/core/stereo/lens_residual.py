@@ -38,10 +38,10 @@ PAIR_TERMS = 7
 """Terms of a pair: the six of the difference, and the mean of the radial ones."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
 """Terms of a pair that matches never move: what shows of them shows as yaw."""
-CONSIDERED_IN_FLOW = (PRISM_X, RADIAL_MEAN)
+CONSIDERED_IN_FLOW = (PRISM_X,)
 """Terms of a pair that the flow never moves either."""
 
-OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y]
+OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y, RADIAL_MEAN]
 """Terms of a pair that matches show, or the flow."""
 _PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
 
@@ -52,6 +52,20 @@ def residual_field(x: Floats, y: Floats) -> Floats:
     along = [x, x * r2, x * x, x * y, r2, none]
     across = [y, y * r2, x * y, y * y, none, r2]
     return np.stack([np.stack(along, axis=-1), np.stack(across, axis=-1)], axis=1)
+
+
+def radial_field(rays: Floats) -> Floats:
+    """Error (n, 3) of rays (n, 3) of unit depth per unit of the radial term of their lens; 0 along the axis."""
+    x, y = rays[:, 0], rays[:, 1]
+    along, across = residual_field(x, y)[:, :, RADIAL].T
+    return np.stack([along, across, np.zeros_like(x)], axis=1)
+
+
+def left_radial(terms: Floats) -> tuple[float, Floats]:
+    """Radial term of the left lens, and its change (7,) per unit of each of the pair's terms (7,)."""
+    per_term = np.zeros(PAIR_TERMS)
+    per_term[RADIAL], per_term[RADIAL_MEAN] = 0.5, 1.0
+    return float(per_term @ terms), per_term
 
 
 def parallax_columns(left: Floats, right: Floats) -> Floats:
