@@ -36,6 +36,7 @@ from companion.diagnosis.model.generic_effects import (
     GenericToeVariance,
     generic_effects,
 )
+from companion.diagnosis.model.generic_leak import GenericLeak
 from companion.diagnosis.model.scores import Column
 from companion.diagnosis.selection.normal_scores import (
     normal_score,
@@ -151,7 +152,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
     # a smooth law is not told from a staircase, which has no slope to speak of
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
     set_clocks = [kind for kind in kinds if issubclass(kind, GenericClockStep) and len(models) == 1]
-    timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericClockDrift))]
+    timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericLeak, GenericClockDrift))]
     toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
     spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
     slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]

@@ -6,17 +6,24 @@ leave less than half of either. Side by side, each in place of the other, the wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.wing.effect import Effect
 from companion.diagnosis.flights.proposals import find_proposals, proposed_terms
 from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit, log_count
-from companion.diagnosis.model.generic_effects import GenericClockStep, generic_effects, generic_lines
+from companion.diagnosis.model.generic_effects import (
+    GenericClockStep,
+    generic_clock_settings,
+    generic_effects,
+    generic_lines,
+)
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.forward_selection import SAME, UNPHYSICAL, UNPREJUDICED, penalised_log_likelihood
 from companion.diagnosis.selection.score_tests import Candidate
@@ -50,10 +57,11 @@ def strongest_rival_model(
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score the
     parameters of a name can imitate may be that name to first order: it is a rival only by what it fits better,
-    whatever else the name may do. A name's own law, in another shape, is none.
+    whatever else the name may do. A clock that was set once is such a rival of whatever shifts stamps: one parameter
+    and an instant stand against a rate and an instant. A name's own law, in another shape, is none.
     """
     named = [_at_nothing(term) for term in named_fit.terms]
-    screening = screen(models, null, [*_offered(models, null, before), *named])
+    screening = screen(models, null, [*_offered(models, null, before), *_clocks(models, named), *named], shapes=True)
     names = {term.effect.name for term in named}
     own_laws = {term.effect.own_law for term in named}
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
@@ -68,25 +76,51 @@ def strongest_rival_model(
         ),
         key=lambda entry: -entry[0].log_odds,
     )
+    clocks = [(candidate, 0.0) for candidate, _ in leading if _is_clock(candidate)][:_TWINS]
+    leading = [(candidate, rho) for candidate, rho in leading if not _is_clock(candidate)]
     others = [(candidate, count) for candidate, rho in leading if rho < SAME][:_REFITTED]
     twins = [(candidate, 0.0) for candidate, rho in leading if rho >= SAME][:_TWINS]
     competing_models = [
         RivalModel(candidate.name, worth(price, fitted, null) - worth(price, named_fit, null))
-        for candidate, price in (*others, *twins)
+        for candidate, price in (*others, *twins, *clocks)
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
 
 
 def _at_nothing(term: EffectTerm) -> EffectTerm:
-    """A name at no strength; what means nothing then, and is scanned for, is as it was fitted."""
+    """A name at no strength; what means nothing then, and is scanned for or begun at a peak, is as it was fitted."""
     kind = type(term.effect)
-    return EffectTerm(kind.from_values({name: getattr(term.effect, name) for name in kind.scan}), term.channel)
+    places = [*kind.scan, *_of_peaks(kind)]
+    return EffectTerm(kind.from_values({name: getattr(term.effect, name) for name in places}), term.channel)
+
+
+def _of_peaks(kind: type[Effect]) -> list[str]:
+    """Parameters of an effect that peaks of the residual tell."""
+    if kind.starts_at is None:
+        return []
+    first, other = kind.at_peaks((1.0, 2.0, 3.0)), kind.at_peaks((4.0, 5.0, 6.0))
+    names = [entry.name for entry in kind.parameters()]
+    return [name for name in names if getattr(first, name) != getattr(other, name)]
+
+
+def _clocks(models: Sequence[FlightModel], named: Sequence[EffectTerm]) -> list[EffectTerm]:
+    """Clocks that were set at some instant, beside a name that shifts stamps; several recordings share no instant."""
+    if len(models) > 1 or all(type(term.effect).sample_time is Effect.sample_time for term in named):
+        return []
+    kinds = generic_clock_settings()
+    # an instant costs nothing where the name has further parameters too
+    log_trials = math.log(len(kinds)) if sum(len(term.values) for term in named) == 1 else 0.0
+    return [EffectTerm(kind(), log_trials=log_trials) for kind in kinds]
+
+
+def _is_clock(candidate: Candidate[EffectTerm]) -> bool:
+    return isinstance(candidate.term.effect, GenericClockStep)
 
 
 def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check]) -> list[EffectTerm]:
     strength = {entry.name: abs(entry.z) for entry in before}
-    # a clock that was set shows in what is left; its step, of one parameter, would pass for the drift of three
+    # a clock that was set shows in what is left; in place of names it is begun where it was set
     kinds = [kind for kind in generic_effects() if not issubclass(kind, GenericClockStep)]
     tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
     terms = [

@@ -10,12 +10,13 @@ from companion.core.wing.effect import Effect
 from companion.diagnosis.flights.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import FlightFit, derivatives, joint_scores
+from companion.diagnosis.model.flights import FlightFit, derivatives, expect, joint_scores
 from companion.diagnosis.model.scores import Column
 from companion.diagnosis.selection.score_tests import Candidate, Screening, Tested, efficient, ranked
 from companion.records import Floats
 
 _UNIT = 1e-3  # prior sigmas
+_SLIGHT = 0.01  # prior sigmas: a strength at which an instant or a frequency means something
 
 
 def screen(
@@ -23,10 +24,13 @@ def screen(
     null: FlightFit,
     terms: Sequence[EffectTerm],
     progress: Callable[[float], None] = lambda _ratio: None,
+    shapes: bool = False,
 ) -> Screening[EffectTerm]:
     """Score every term at a fitted model ``null``, which may hold effects that have been accepted.
 
-    ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` is told the share that is done.
+    ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` is told the share that is done. With
+    ``shapes`` what means nothing at no strength (an instant, a frequency) has the column of a slight strength: it
+    tells nothing of whether an effect is there, but which other effects it can imitate.
     """
     columns = [list(entry) for entry in null.state.columns]
     tested: list[Tested[EffectTerm]] = []
@@ -40,7 +44,10 @@ def screen(
         only = range(len(null.values), len(null.values) + count)
         wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
         new_columns = derivatives(models, values, (*null.terms, term), null.state.expectations, wide, only)
-        new_columns = [[*recording, *[Column()] * (len(declared) - count)] for recording in new_columns]
+        rest = [[Column()] * (len(declared) - count) for _ in models]
+        if shapes and count < len(declared):
+            rest = _of_slight(models, null, term, count, wide)
+        new_columns = [[*recording, *further] for recording, further in zip(new_columns, rest, strict=True)]
         columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
         tested.append(Tested(term, sigmas, side, term.effect.one_way or term.effect.hinged))
         progress((done + 1) / len(sided))
@@ -48,6 +55,21 @@ def screen(
     wider = _score_scatter(models, null, tested)
     information = information * np.outer(wider, wider)
     return ranked(tested, score, information)
+
+
+def _of_slight(
+    models: Sequence[FlightModel], null: FlightFit, term: EffectTerm, count: int, sigmas: Floats
+) -> list[list[Column]]:
+    """Columns of the parameters of a term from its ``count``-th on, by recording, where it is slightly there."""
+    first, begun = term.effect.parameters()[0], len(null.values)
+    slight = term.with_values(
+        dict(zip((entry.name for entry in term.effect.parameters()), term.values, strict=True))
+        | {first.name: getattr(term.effect, first.name) + _SLIGHT * first.sigma}
+    )
+    values = np.concatenate([null.values, slight.values])
+    terms = (*null.terms, slight)
+    beside = expect(models, values, terms, null.state.expectations)
+    return derivatives(models, values, terms, beside, sigmas, range(begun + count, len(values)))
 
 
 def _score_scatter(models: Sequence[FlightModel], null: FlightFit, tested: Sequence[Tested[EffectTerm]]) -> Floats:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
 from companion.core.wing.structure import Structure
-from companion.diagnosis.data.observations import ToeData
+from companion.diagnosis.model.generic_leak import GenericLeak
 from companion.records import Floats, Station
 
 _Law = Callable[[Floats, Floats], Floats]
@@ -47,9 +47,9 @@ TIMES: dict[str, _Sway] = {
 }
 """Over time from -1 to 1 across the recording."""
 
-
 _INSTANTS = {"1/6": -2.0 / 3.0, "1/3": -1.0 / 3.0, "1/2": 0.0, "2/3": 1.0 / 3.0, "5/6": 2.0 / 3.0}
 """Instants of a recording, and where they lie from -1 to 1 across it."""
+_SETTINGS = 23  # instants at which a clock that competes with names may have been set: 2.5 s apart in a minute
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class GenericVaryingStiffness(GenericForce):
     def force(self, motion: ModalMotion) -> Floats:
         """Apply the law."""
         pull: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return -self.strength * type(self).sway(_across(np.asarray(motion.t_s))) * pull
+        return -self.strength * type(self).sway(across(np.asarray(motion.t_s))) * pull
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ class GenericSensorLaw(Effect):
         unit = max(float(np.std(up)), 1e-12)
         sign = -1.0 if self.against and station is Station.LEFT else 1.0
         bent = values.copy()
-        bent[:, 2] += sign * self.strength * unit * type(self).law(up / unit, _across(t_s))
+        bent[:, 2] += sign * self.strength * unit * type(self).law(up / unit, across(t_s))
         return bent
 
 
@@ -233,7 +233,7 @@ class GenericClockDrift(Effect):
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """The instant that a stamp shows, on its side."""
-        return t_s - self.late_s * _across(t_s) if station is self.station else t_s
+        return t_s - self.late_s * across(t_s) if station is self.station else t_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,16 +248,16 @@ class GenericClockStep(Effect):
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """The instant that a stamp shows, on its side."""
-        return t_s - self.late_s * (_across(t_s) > self.set_at) if station is self.station else t_s
+        return t_s - self.late_s * (across(t_s) > self.set_at) if station is self.station else t_s
 
 
 @dataclass(frozen=True, slots=True)
 class GenericLine(Effect):
-    """One frequency in both sides' readings, alike or against each other."""
+    """One frequency in the sensors' readings, in units of ``shares`` of left and right."""
 
     group: ClassVar[Group] = Group.SENSING
     starts_at: ClassVar = ResidualPeak.LINE
-    against: ClassVar[bool] = False
+    shares: ClassVar[tuple[float, float]]
 
     cosine_mps2: float = parameter("m/s^2", 0.5, "in phase with the start")
     sine_mps2: float = parameter("m/s^2", 0.5, "a quarter period later")
@@ -267,11 +267,33 @@ class GenericLine(Effect):
         """Add it to the upward axis."""
         if station is Station.ROOT:
             return values
-        phase = 2.0 * np.pi * self.frequency_hz * t_s
-        sign = -1.0 if self.against and station is Station.LEFT else 1.0
         sung = values.copy()
-        sung[:, 2] -= sign * (self.cosine_mps2 * np.cos(phase) + self.sine_mps2 * np.sin(phase))
+        sung[:, 2] -= self.shares[0 if station is Station.LEFT else 1] * _sine(self, t_s)
         return sung
+
+
+@dataclass(frozen=True, slots=True)
+class GenericForceLine(Effect):
+    """One frequency in the load of the first symmetric mode, or of the first antisymmetric one."""
+
+    group: ClassVar[Group] = Group.FORCING
+    starts_at: ClassVar = ResidualPeak.LINE
+    mode: ClassVar[int]
+
+    cosine_mps2: float = parameter("m/s^2", 0.5, "in phase with the start")
+    sine_mps2: float = parameter("m/s^2", 0.5, "a quarter period later")
+    frequency_hz: float = parameter("Hz", 10.0, "frequency", default=12.0)
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """Load the mode, where there is one."""
+        added = np.zeros_like(motion.q_m)
+        added[self.mode : self.mode + 1] = _sine(self, np.asarray(motion.t_s))
+        return added
+
+
+def _sine(line: GenericLine | GenericForceLine, t_s: Floats) -> Floats:
+    phase = 2.0 * np.pi * line.frequency_hz * t_s
+    return np.asarray(line.cosine_mps2 * np.cos(phase) + line.sine_mps2 * np.sin(phase))
 
 
 TOE = (
@@ -294,45 +316,9 @@ TOE = (
     "deflection of a further mode",
     "rate of a further mode",
 )
+PLAY = {"little play of the mounts": 0.15, "play of the mounts": 0.3, "much play of the mounts": 0.6}
+"""Deflection that a mount's play takes up, in units of its rms."""
 SPREAD = ("deflection", "its rate", "inverse distance", "time")
-
-
-def toe_regressors(
-    toe: ToeData, modal: Floats, rates: Floats, load_factor: Floats, expected_rad: Floats
-) -> dict[str, Floats]:
-    """Regressors of the toe, each about its mean (but the whole reading) and of rms 1, (k,).
-
-    Parameters
-    ----------
-    toe : ToeData
-        The exposures.
-    modal, rates : (n, k)
-        Smoothed modes at the exposures.
-    load_factor, expected_rad : (k,)
-        Of the wing, and of the model: how the axes diverge and where the point is, together.
-    """
-    q, rate = modal[0], rates[0]
-    x, nearness = _across(toe.t_s), toe.inverse_m - toe.inverse_m.mean()
-    values = [q, rate, q**2, q**3, rate**2, q * x, rate * x, load_factor]
-    values += [expected_rad, nearness, nearness**2, q * nearness, x, x**2, *modal[1:2], *rates[1:2]]
-    values += [*modal[2:3], *rates[2:3]]
-    offered = {}
-    for name, values_of in zip(TOE, values, strict=False):
-        values_of = values_of if name == "the whole reading" else values_of - np.mean(values_of)
-        size = float(np.sqrt(np.mean(values_of**2)))
-        if size > 1e-12:
-            offered[name] = values_of / size
-    return offered
-
-
-def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
-    """Regressors of the toe's variance, of mean 1, (k,)."""
-    values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + _across(toe.t_s)))
-    return {
-        name: regressor / np.mean(regressor)
-        for name, regressor in zip(SPREAD, values, strict=True)
-        if float(np.std(regressor)) > 1e-12
-    }
 
 
 def generic_effects() -> list[type[Effect]]:
@@ -360,7 +346,11 @@ def generic_effects() -> list[type[Effect]]:
         ),
         *(
             _kind(base, f"{side.name.lower()} side {what}", station=side)
-            for base, what in ((GenericBias, "at rest"), (GenericPhase, "phase growing with frequency"))
+            for base, what in (
+                (GenericBias, "at rest"),
+                (GenericPhase, "phase growing with frequency"),
+                (GenericLeak, "showing the other side too"),
+            )
             for side in (Station.LEFT, Station.RIGHT)
         ),
         _kind(GenericRollOff, "gain falling with frequency"),
@@ -377,20 +367,34 @@ def generic_effects() -> list[type[Effect]]:
             for side in (Station.RIGHT, Station.LEFT)
             for what, at in _INSTANTS.items()
         ),
-        *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in TOE),
+        *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in (*TOE, *PLAY)),
         *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]
 
 
+def generic_clock_settings() -> list[type[Effect]]:
+    """Clocks that were set once, at many instants of a recording; those of one side have one name."""
+    return [
+        _kind(GenericClockStep, f"{side.name.lower()} clock set during the recording", station=side, set_at=at)
+        for side in (Station.RIGHT, Station.LEFT)
+        for at in np.linspace(-1.0, 1.0, _SETTINGS + 2)[1:-1].tolist()
+    ]
+
+
 def generic_lines() -> list[type[Effect]]:
-    """Single frequencies in the sensors, which begin where the residual has a line."""
-    return [_kind(GenericLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
+    """Single frequencies in the sensors or the load, which begin where the residual has a line."""
+    sensed = {"alike": (1.0, 1.0), "left against right": (-1.0, 1.0), "left": (1.0, 0.0), "right": (0.0, 1.0)}
+    loads = {"both sides alike": 0, "left against right": 1}
+    return [
+        *(_kind(GenericLine, f"a line, {how}", shares=shares) for how, shares in sensed.items()),
+        *(_kind(GenericForceLine, f"a line in the load, {how}", mode=mode) for how, mode in loads.items()),
+    ]
 
 
 def _kind(base: type[Effect], title: str, **constants: object) -> type[Effect]:
     return type(base.__name__, (base,), {"__slots__": (), "name": title, **constants})
 
 
-def _across(t_s: Floats) -> Floats:
+def across(t_s: Floats) -> Floats:
     """Time from -1 to 1 across the recording."""
     return np.asarray(2.0 * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9) - 1.0)

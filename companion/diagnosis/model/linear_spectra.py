@@ -10,6 +10,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import Structure, slot_name, structure_of
+from companion.diagnosis.model.generic_leak import GenericLeak
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side, Station
@@ -63,7 +64,18 @@ class Spectra:
         noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
         load = self._load(structure, effects, deviation)
         sensing: Complexes = gains[:, None] * inertia
+        for effect in effects:
+            if isinstance(effect, GenericLeak):
+                sensing = self._leaked(effect, sensing)
         return Linear(self._receptance(structure), load, sensing, noise)
+
+    def _leaked(self, leak: GenericLeak, sensing: Complexes) -> Complexes:
+        """Sensing (c, n, f) of channels of which one shows a share of the other."""
+        shown = sensing.copy()
+        for i, side in enumerate(self.sides):
+            if STATIONS[side] is leak.station:
+                shown[i] += leak.leaked_ratio * (np.sum(sensing, axis=0) - sensing[i])
+        return shown
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         """Complex gain of the accelerometers, (c, f)."""

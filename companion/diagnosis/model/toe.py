@@ -13,12 +13,8 @@ from companion.diagnosis.data.observations import Observations, ToeData
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.expectation import Motion
-from companion.diagnosis.model.generic_effects import (
-    GenericToe,
-    GenericToeVariance,
-    toe_regressors,
-    toe_variance_regressors,
-)
+from companion.diagnosis.model.generic_effects import PLAY, GenericToe, GenericToeVariance
+from companion.diagnosis.model.toe_regressors import of_unit_rms, taken_up, toe_regressors, toe_variance_regressors
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
 from companion.records import Floats, Side
 
@@ -97,6 +93,10 @@ class ToeModel:
         load = np.interp(toe.t_s, self._observations.t_s, self._observations.wing_load_factor)
         reading_rad = self.baseline_m * toe.inverse_m + expected
         offered = toe_regressors(toe, *self._modes(motion), load, reading_rad)
+        for which in {effect.follows for effect in toe_terms} & PLAY.keys():
+            played = np.interp(toe.t_s, self._observations.t_s, taken_up(motion.in_time[0], which))
+            unit = of_unit_rms(played - np.mean(played))
+            offered |= {} if unit is None else {which: unit}
         return sum(effect.added(offered) for effect in toe_terms)
 
     def _modes(self, motion: Motion) -> tuple[Floats, Floats]:

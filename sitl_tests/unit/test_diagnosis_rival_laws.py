@@ -1,0 +1,127 @@
+"""Laws without a name that compete with names: clocks that were set, leaks between channels, play, lines."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.recordings import Flights, diagnose
+from companion.diagnosis.flights.rival_models import _at_nothing, _clocks
+from companion.diagnosis.flights.screen import screen
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import expect, fit
+from companion.diagnosis.model.generic_effects import PLAY, generic_effects
+from companion.diagnosis.model.toe_regressors import taken_up
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.params.files import parse_airframe
+from sitl_tests.trials.belief import airframe_text
+from sitl_tests.trials.cases import Hidden, noise_density
+from sitl_tests.trials.cases import fly as fly_first
+from sitl_tests.trials.stranger.cases import StrangerHidden, fly_all, hide
+from tools.trial_generators import STRANGER
+from tools.trial_judge import model_of
+
+
+def flown(**effects: float) -> FlightModel:
+    (tables,) = fly_first([Hidden(effects)], 20.0, 78)
+    return model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+
+
+def diagnosed(seed: int, **effects: float) -> FlightDiagnosis:
+    """A flight of the second truth, judged without what is hidden in it."""
+    label = hide([], (8.0, 14.0), np.random.default_rng(seed))
+    hidden = StrangerHidden(dict(effects), 1, label.salt, label.extra)
+    (tables,) = fly_all([hidden], [20.0], seed)
+    model = model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
+    return diagnose([model], [kind for name, kind in catalogue().items() if name not in effects])
+
+
+def of_title(title: str) -> EffectTerm:
+    (kind,) = [kind for kind in generic_effects() if kind.name == title]
+    return EffectTerm(kind())
+
+
+def term_of(name: str, **values: float) -> EffectTerm:
+    return EffectTerm(catalogue()[name].from_values(values))
+
+
+@pytest.mark.slow
+def test_a_drift_of_clocks_imitates_one_side_that_is_ever_later() -> None:
+    model = flown()
+    null = fit([model], ())
+    skew = term_of("clock-skew", set_at_s=0.0)
+    later = of_title("right side ever later")
+    imitations = []
+    for shapes in (False, True):
+        screening = screen([model], null, [later, skew], shapes=shapes)
+        names = [candidate.name for candidate in screening.candidates]
+        imitations.append(screening.imitation[names.index(skew.name), names.index(later.name)])
+    assert imitations[1] > 0.99 > imitations[0]
+
+
+def test_names_at_nothing_stay_at_the_frequency_and_the_instants_of_their_fit() -> None:
+    tone = _at_nothing(term_of("tone", frequency_hz=21.5, left_sine_mps2=0.3))
+    assert tone.values == [0.0, 0.0, 0.0, 0.0, 21.5]
+    assert _at_nothing(term_of("clock-skew", set_at_s=12.0, skew_s_per_min=0.004)).values == [0.0, 0.0, 12.0]
+
+
+def test_clocks_that_were_set_compete_with_names_that_shift_stamps_only() -> None:
+    model = flown()
+    assert not _clocks([model], [term_of("exposure-delay", delay_s=0.002)])
+    beside_a_delay = _clocks([model], [term_of("stream-delay", delay_s=0.002)])
+    beside_a_drift = _clocks([model], [term_of("clock-skew", skew_s_per_min=0.002)])
+    assert all(term.log_trials == pytest.approx(np.log(len(beside_a_delay))) for term in beside_a_delay)
+    assert all(term.log_trials == 0.0 for term in beside_a_drift)
+
+
+def test_a_leak_adds_the_share_of_the_other_side_s_spectrum() -> None:
+    model = flown()
+    null = fit([model], ())
+    leak = of_title("left side showing the other side too")
+    leaking = leak.with_values({"leaked_ratio": 0.1})
+    values = np.append(null.values, 0.1)
+    before, after = null.state.expectations[0], expect([model], values, (leaking,))[0]
+    noise = before.motion.linear.noise[..., None]
+    motion = before.spectrum - noise
+    mix = np.array([[1.0, 0.1], [0.0, 1.0]])
+    assert after.spectrum == pytest.approx(np.einsum("ij,jkf,lk->ilf", mix, motion, mix) + noise, rel=1e-9)
+
+
+def test_play_keeps_the_first_part_of_every_reversal_from_the_cameras() -> None:
+    t_s = np.linspace(0.0, 2.0, 4001)
+    deflection = np.stack([np.sin(2.0 * np.pi * t_s), np.zeros(len(t_s))])
+    missing = taken_up(deflection, "play of the mounts")
+    reach = PLAY["play of the mounts"] * float(np.std(deflection[0]))
+    # both halves move alike, and either camera lags by the play once it moves
+    assert np.max(np.abs(missing)) == pytest.approx(2.0 * reach, rel=1e-6)
+    moving_up = (t_s > 0.92) & (t_s < 1.2)
+    assert missing[moving_up] == pytest.approx(2.0 * reach, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hidden", "size"), [("clock-step", 0.004), ("crosstalk", 0.15), ("mount-play", 0.002)])
+def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None:
+    assert diagnosed(4711, **{hidden: size}).verdict is DiagnosisVerdict.UNEXPLAINED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hidden", "size"), [("clock-skew", 0.01), ("mount-lag", 0.0025), ("stream-delay", 0.003)])
+def test_names_stand_against_their_rivals(hidden: str, size: float) -> None:
+    label = hide([], (8.0, 14.0), np.random.default_rng(12))
+    (tables,) = fly_all([dataclasses.replace(label, effects={hidden: size})], [20.0], 12)
+    model = model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
+    judged = diagnose([model], list(catalogue().values()))
+    assert judged.verdict is DiagnosisVerdict.EXPLAINED
+    (cause,) = judged.causes
+    assert hidden in {cause.term.name, *cause.group}
+
+
+def test_every_flight_has_a_leak_and_play_among_its_directions() -> None:
+    model = flown()
+    names = {entry.name for entry in Flights([model]).checks(fit([model], ()))}
+    assert {"left side showing the other side too", "range residual against play of the mounts"} <= names
