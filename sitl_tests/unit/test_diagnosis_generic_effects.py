@@ -20,6 +20,8 @@ from companion.diagnosis.flights.lack_of_fit_tests import (
 from companion.diagnosis.flights.prior_tension import prior_tension
 from companion.diagnosis.flights.proposals import best_trial
 from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.flights.ringing import neighbours_go_together, with_best_trials
+from companion.diagnosis.flights.screen import screen
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
@@ -257,12 +259,25 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     null, kind = fit([model], ()), catalogue()["mount-resonance"]
     led = best_trial([model], null, EffectTerm(kind()))
     assert led is not None
-    assert led.log_trials > 0.0
-    found = fit([model], (led,), null.values)
+    assert led.term.log_trials > 0.0
+    found = fit([model], (led.term,), null.values)
     softness_s2, damper_s = found.values[-2:]
     assert softness_s2 == pytest.approx(8e-5, rel=0.02)
     assert abs(damper_s) < 1e-4, "beside a loss of 4 %, which is 3.6e-4 s at that frequency, nothing damps it"
     assert found.log_evidence > null.log_evidence + 50.0
+
+
+def test_a_mount_is_screened_from_where_it_rings_if_exposures_go_together() -> None:
+    """At 17.8 Hz its score at nothing, a gain that grows with frequency, says a fifth of what is there."""
+    model = flown(**{"mount-resonance": 8e-5})
+    null, kind = fit([model], ()), catalogue()["mount-resonance"]
+    assert neighbours_go_together(null.state.expectations[0])
+    screening = screen([model], null, [EffectTerm(kind())])
+    (ringing,) = with_best_trials([model], null, screening).candidates
+    assert ringing.z > screening.candidates[0].z + 3.0
+    assert ringing.term.values[0] == pytest.approx(8e-5, rel=0.05)
+    still = flown()
+    assert not neighbours_go_together(fit([still], ()).state.expectations[0])
 
 
 @pytest.mark.slow

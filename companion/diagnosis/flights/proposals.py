@@ -91,17 +91,29 @@ def _proposed(line: Line | None) -> Proposal | None:
     return Proposal((line.frequency_hz,), line.log_trials)
 
 
-def best_trial(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> EffectTerm | None:
+@dataclass(frozen=True, slots=True)
+class BestTrial:
+    """The likeliest of the values that an effect wants tried, and by how many nats it is likelier than none."""
+
+    term: EffectTerm
+    gain: float
+
+
+def best_trial(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> BestTrial | None:
     """The likeliest of the values that the effect wants tried (a mount's resonance); None where none beats none."""
     trials = type(term.effect).trial_values(models[0].belief.airframe.wing.symmetric.frequency_hz.value)
-    if not trials:
+    if not trials or is_trial(term):
         return None
     terms = [term.with_values(values) for values in trials]
     likelihoods = [_likelihood_with(models, fitted, trial) for trial in terms]
     best, log_trials = int(np.argmax(likelihoods)), math.log(len(trials))
-    if likelihoods[best] - log_trials < fitted.log_likelihood:
-        return None
-    return replace(terms[best], log_trials=log_trials)
+    gain = likelihoods[best] - fitted.log_likelihood
+    return BestTrial(replace(terms[best], log_trials=log_trials), gain) if gain > log_trials else None
+
+
+def is_trial(term: EffectTerm) -> bool:
+    """Whether a term stands where the likeliest of its trials was."""
+    return type(term.effect).starts_at is None and term.log_trials > 0.0
 
 
 def _likelihood_with(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> float:

@@ -16,7 +16,8 @@ from companion.diagnosis.data.sample_defects import worst_defects
 from companion.diagnosis.flights.adequacy import LIMIT, check
 from companion.diagnosis.flights.initial_values import initial_values
 from companion.diagnosis.flights.outcome import FlightDiagnosis
-from companion.diagnosis.flights.proposals import best_trial, candidates_of, find_proposals
+from companion.diagnosis.flights.proposals import best_trial, candidates_of, find_proposals, is_trial
+from companion.diagnosis.flights.ringing import with_best_trials
 from companion.diagnosis.flights.rival_models import strongest_rival_model
 from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
@@ -74,15 +75,16 @@ class Flights(Recordings[EffectTerm, FlightState]):
     def screen(self, fitted: FlightFit, progress: Progress) -> Screening[EffectTerm]:
         """Score the whole catalogue at a fitted model."""
         terms = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
-        return screen(self._models, fitted, terms, lambda ratio: progress("screen the catalogue", ratio))
+        screening = screen(self._models, fitted, terms, lambda ratio: progress("screen the catalogue", ratio))
+        return with_best_trials(self._models, fitted, screening)
 
     def refit(
         self, fitted: FlightFit, candidate: Candidate[EffectTerm]
     ) -> tuple[Candidate[EffectTerm], FlightFit] | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
         trial = best_trial(self._models, fitted, candidate.term)
-        offered = candidate if trial is None else dataclasses.replace(candidate, term=trial)
-        first = () if trial is None else (trial,)
+        offered = candidate if trial is None else dataclasses.replace(candidate, term=trial.term)
+        first = (offered.term,) if is_trial(offered.term) else ()
         for term in (*first, *(perturbed_start(offered, step, _FIRST_STEPS[0]) for step in _FIRST_STEPS)):
             try:
                 return offered, fit(self._models, (*fitted.terms, term), fitted.values, _AT_FIRST)
