@@ -125,3 +125,12 @@ def test_every_flight_has_a_leak_and_play_among_its_directions() -> None:
     model = flown()
     names = {entry.name for entry in Flights([model]).checks(fit([model], ()))}
     assert {"left side showing the other side too", "range residual against play of the mounts"} <= names
+
+
+@pytest.mark.slow
+def test_a_name_s_own_law_is_no_test_of_it() -> None:
+    model = flown(**{"coulomb-friction": 0.4})
+    named = fit([model], (term_of("coulomb-friction", friction_mps2=0.3),))
+    own_law = catalogue()["coulomb-friction"].own_law
+    assert own_law in {entry.name for entry in Flights([model]).checks(fit([model], ()))}
+    assert own_law not in {entry.name for entry in Flights([model]).checks(named)}

@@ -144,7 +144,9 @@ def _together(score: Floats, information: Floats, kurtosis: float) -> float:
 
 def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]:
     """Forces, sensors and ranges by law."""
-    kinds = generic_effects()
+    # what is left of a name's own law beside it is how its column was made
+    own_laws = {term.effect.own_law for term in fitted.terms}
+    kinds = [kind for kind in generic_effects() if kind.name not in own_laws]
     forces = [kind for kind in kinds if issubclass(kind, (GenericForce, GenericStiffness))]
     stepped = any(
         catalogue()[entry.name].discretises for model in models for entry in model.observations.sample_defects
