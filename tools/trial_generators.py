@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +23,8 @@ class Generator:
     """One truth.
 
     ``names`` are what it hides of the catalogue, ``outside`` what no catalogue has, ``corners_hz`` its believed gusts;
-    ``units`` says what one rms of a channel in a recording is in its own units.
+    ``airspeed_rms_mps`` is what its airspeed wanders, ``units`` what one unit of a magnitude that it hides is in the
+    catalogue's parameter, where it is another.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Generator:
     airframe: Callable[[float, float], Airframe]
     airspeed_rms_mps: float
     top_hz: float
+    units: Mapping[str, float] = field(default_factory=dict)
 
 
 def _first_airframe(snr_db: float, corner_hz: float) -> Airframe:
@@ -66,5 +68,6 @@ STRANGER = Generator(
     _stranger_airframe,
     stranger_cases.AIRSPEED_RMS_MPS,
     top_of(_stranger_airframe(0.0, 0.0)),
+    stranger_cases.UNITS,
 )
 GENERATORS = {entry.name: entry for entry in (FIRST, STRANGER)}

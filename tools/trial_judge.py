@@ -34,7 +34,7 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
     model = model_of(tables, airframe, trial.hand.top_hz)
     found = diagnose([model], kinds)
-    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, swings(tables, trial.hand))
+    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, units_of(tables, trial.hand))
     if trial.oracle and not leave_out and found.gain is not None:
         row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
     if leave_out and found.causes:
@@ -74,6 +74,11 @@ def swings(tables: Tables, hand: Generator = FIRST) -> dict[str, float]:
         "covariate-frequency": float(np.std(tables.roller)),
         "airspeed-dependence": float(np.std(tables.airspeed)) / hand.airspeed_rms_mps,
     }
+
+
+def units_of(tables: Tables, hand: Generator) -> dict[str, float]:
+    """What a unit of each magnitude that a hand hides is in the parameter that the diagnosis gives."""
+    return {**hand.units, **swings(tables, hand)}
 
 
 def judge(

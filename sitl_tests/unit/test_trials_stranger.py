@@ -8,6 +8,7 @@ from scipy.linalg import eigh
 
 from sitl_tests.trials.stranger import beam
 from sitl_tests.trials.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
+from sitl_tests.trials.stranger.flight import _gust
 from sitl_tests.trials.stranger.steps import propagated
 from tools.trial_generators import STRANGER
 from tools.trial_plan import strangers_acceptance
@@ -53,6 +54,16 @@ def test_tables_show_gravity_and_ranges_that_read_short() -> None:
     # 13.5 mm in trim diverge the axes by 37 mrad
     short = np.mean(2.34 * (1.0 / tables.range_m - 1.0 / tables.reference_m))
     assert short == pytest.approx(2.0 * 1.37 * 0.0135, rel=0.1)
+
+
+def test_an_uneven_gust_mixes_the_first_two_loads_by_the_ratio_that_is_told() -> None:
+    rng, tilt, corner, design = np.random.default_rng(8), 0.1, 0.0, beam.modes()
+    omega = 2.0 * np.pi * design.frequency_hz
+    load = _gust(design, omega, np.full(len(omega), 0.03), {"left-right-forcing": tilt}, {}, corner, 400_000, rng)
+    power = load[:2] @ load[:2].T
+    # loads a and b that are mixed by r: cross density r (a^2 + b^2), their powers hardly changed
+    mixed = power[0, 1] / (power[0, 0] + power[1, 1])
+    assert mixed == pytest.approx(STRANGER.units["left-right-forcing"] * tilt, rel=0.05)
 
 
 def test_the_plan_has_every_name_with_and_without_it_and_what_no_catalogue_has() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_tests.trials.cases import SEEN, Hidden, Tables, participation
-from sitl_tests.trials.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly
+from sitl_tests.trials.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
 from sitl_tests.trials.stranger.sensors import record
 
 SIGMA: dict[str, float] = {
@@ -87,6 +87,9 @@ engine's run-up through the band (m/s^2), a square in the sensors (s^2/m), a dea
 (share), a channel that leaks into the other (share), noise that swells for a while (times), a clock that is set (s), a
 toe that drifts (rad), toe with the square of the bend (1/rad), a focal length that drifts (share), matches that err
 close by (share at 30 m), wild matches (share), play in the mounts (rad)."""
+UNITS: dict[str, float] = {"exposure-jitter": 2.0, "left-right-forcing": mixing_ratio()}
+"""A unit hidden here in the catalogue's parameter, where it is another: either camera wanders by itself with twice the
+square, and only a part of a mode's load is of the halves' gusts."""
 MANOEUVRED = frozenset({"load-dependent-bend"})
 """What only a manoeuvre shows."""
 CORNERS_HZ = (0.0, 0.0, 4.0, 15.0)

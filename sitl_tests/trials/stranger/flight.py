@@ -92,6 +92,16 @@ def drawn(rng: np.random.Generator) -> dict[str, float]:
     }
 
 
+def mixing_ratio() -> float:
+    """Ratio in which a gust that loads the halves unevenly by a small 1 mixes the loads of the first two modes.
+
+    With ``_SHARED`` of a mode's load from the halves' gusts, (1 - t) and (1 + t) times as strong, the cross density of
+    the first two is 2 t ``_SHARED``^2 a b, a^2 and b^2 being their own; loads mixed by r have r (a^2 + b^2).
+    """
+    first, second = np.sqrt(np.sum(modes().gust ** 2, axis=0))[:2].tolist()
+    return float(2.0 * _SHARED**2 * first * second / (first**2 + second**2))
+
+
 def wandering(t_s: Array, phase_rad: float, radps: float) -> Array:
     """A channel of unit rms that wanders by itself."""
     waves = np.sin(radps * t_s + phase_rad) + np.sin(0.613 * radps * t_s + 1.3) + np.sin(1.71 * radps * t_s + 2.6)
