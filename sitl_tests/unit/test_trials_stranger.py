@@ -8,7 +8,8 @@ from scipy.linalg import eigh
 
 from sitl_tests.trials.stranger import beam
 from sitl_tests.trials.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
-from sitl_tests.trials.stranger.flight import _gust
+from sitl_tests.trials.stranger.flight import STEP_HZ, _gust, drawn, fly
+from sitl_tests.trials.stranger.sensors import _tip
 from sitl_tests.trials.stranger.steps import propagated
 from tools.trial_generators import STRANGER
 from tools.trial_plan import strangers_acceptance
@@ -34,6 +35,21 @@ def test_the_fuselage_recoils_against_the_tips() -> None:
     # what a tip does against the ground is what it does against the fuselage, and what that does
     arms = np.array([[-beam.SEMISPAN_M], [beam.SEMISPAN_M]])
     assert modes.tip_free == pytest.approx(modes.tip + modes.heave + arms * modes.roll_radpm, abs=1e-9)
+
+
+def test_tips_feel_the_roll_of_the_fuselage_once() -> None:
+    """Tips rise against the ground as much as their free modes do: roll that the gyro shows is no further motion."""
+    rng = np.random.default_rng(4)
+    motion = fly({}, {}, False, 0.0, 4.0, rng, drawn(rng))
+    turning = np.gradient(motion.roll_rate_radps, 1.0 / STEP_HZ)
+    shown = np.stack([_tip(motion, {}, side, np.zeros(len(turning)), turning) for side in range(2)])
+    against, together = 0.5 * (shown[1] - shown[0]), 0.5 * (motion.up_mps2[1] - motion.up_mps2[0])
+    # below the second pair each deflection has its own mode; up is -z, and both are low-passed far above
+    slow = slice(int(3.0 * 4.0), int(7.0 * 4.0))
+    recorded = np.fft.rfft(against[: 4 * int(STEP_HZ)])[slow]
+    moved = np.fft.rfft(together[: 4 * int(STEP_HZ)])[slow]
+    free = beam.modes().tip_free[1, 1] / beam.modes().tip[1, 1]
+    assert -np.vdot(moved, recorded).real / np.vdot(moved, moved).real == pytest.approx(free, abs=0.02)
 
 
 def test_a_step_is_the_exact_free_vibration() -> None:

@@ -31,7 +31,7 @@ SPEED_RMS_MPS = 1.7
 class Motion:
     """What moves, at ``STEP_HZ`` from 0 s on: (m,), or (2, m) for left and right.
 
-    ``bend_m`` and ``up_mps2`` are of the tips, the latter against the ground but without the rigid aircraft;
+    ``bend_m`` and ``up_mps2`` are of the tips, the latter against the ground without the rigid aircraft and any roll;
     ``slope`` is the up-bend slope of either camera's station, static bend included.
     """
 
@@ -75,9 +75,9 @@ def fly(
     q, a = path[:-1], pull[:-1]
     slope = slow["slope"] * (design.slope_radpm @ q) + participation * steep * path[-1]
     slope += slow["slope"] * design.slope_radpm[:, :1] * slow["trim_m"]
-    free = design.tip_free
+    lifted = design.tip + design.heave  # roll_rate has the roll of the fuselage, which tilts the tips along
     return Motion(
-        t_s[begun], design.tip @ q, free @ a + participation * pull[-1], slope, factor[begun], design.heave @ a,
+        t_s[begun], design.tip @ q, lifted @ a + participation * pull[-1], slope, factor[begun], design.heave @ a,
         roll[begun] - design.roll_radpm @ (np.gradient(q, dt, axis=1)), side[begun], roller[begun],
         18.0 + SPEED_RMS_MPS * air[begun],
     )  # fmt: skip
