@@ -47,14 +47,15 @@ class FlightModel:
         self.belief, self.observations, self.top_hz, self.recording = belief, observations, top_hz, recording
         self.transforms = Transforms(len(observations.up_mps2), 1.0 / observations.rate_hz, observations.start_s)
         all_hz = self.transforms.f_hz
-        low_hz = _LOW * belief.airframe.wing.symmetric.frequency_hz.value
+        first_hz = belief.airframe.wing.symmetric.frequency_hz.value
+        low_hz = _LOW * first_hz
         self._low = int(np.searchsorted(all_hz, low_hz))
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * observations.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
         self._toe_alone = toe_alone
         self.weight = 0.0 if toe_alone else self.transforms.weight * observations.recorded_ratio
         self._spectra = Spectra(belief.airframe, observations.sides, all_hz[:top], observations.has_root)
-        lineariser = SensorLineariser(observations, self.transforms)
+        lineariser = SensorLineariser(observations, self.transforms, first_hz)
         up = lineariser.recorded_mps2
         plain = self.transforms.spectrum(self.transforms.periodic(up))[:, :top]
         recorded = plain, self.transforms.tapered(up)[:, self._low : top]
@@ -212,7 +213,7 @@ class FlightModel:
             wing,
             inner,
             self._grid,
-            lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation),
+            lambda shape, scale, filtered=None: self._spectra.linear(shape, scale, effects, deviation, filtered),
             measured,
             leaked,
             near.motion if near is not None and small_step and isinstance(near.motion, SmoothedMotion) else None,

@@ -56,9 +56,17 @@ class Spectra:
         self._level = self._reference_levels()
 
     def linear(
-        self, structure: Structure, scale: Floats, effects: Sequence[Effect], deviation: Mapping[str, float]
+        self,
+        structure: Structure,
+        scale: Floats,
+        effects: Sequence[Effect],
+        deviation: Mapping[str, float],
+        filtered: Complexes | None = None,
     ) -> Linear:
-        """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them."""
+        """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them.
+
+        ``filtered`` (n, n, >= f) are further forces per deflection, (rad/s)^2, of laws with memory.
+        """
         inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
         gains = scale[:, None] * self.responses(effects, deviation)
         noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
@@ -67,7 +75,10 @@ class Spectra:
         for effect in effects:
             if isinstance(effect, GenericLeak):
                 sensing = self._leaked(effect, sensing)
-        return Linear(self._receptance(structure), load, sensing, noise)
+        receptances = self._receptance(structure)
+        if filtered is not None:
+            receptances = inverse(inverse(full(receptances)) - filtered[..., : len(self.f_hz)])
+        return Linear(receptances, load, sensing, noise)
 
     def _leaked(self, leak: GenericLeak, sensing: Complexes) -> Complexes:
         """Sensing (c, n, f) of channels of which one shows a share of the other."""

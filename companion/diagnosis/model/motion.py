@@ -74,11 +74,11 @@ class SmoothedMotion:
         self._push: Complexes | None = self._measured
         shared = None if neighbour is None else neighbour.forces_on(wing, self._terms)
         if shared is not None:
-            self._apply(shared, lambda structure: linear_of(structure, scale))
+            self._apply(shared, lambda structure, filtered: linear_of(structure, scale, filtered))
             return
         self._take(linear_of(wing.structure, scale))
         if self._terms:
-            self._linearise(lambda structure: linear_of(structure, scale))
+            self._linearise(lambda structure, filtered: linear_of(structure, scale, filtered))
 
     def _take(self, linear: Linear) -> None:
         """Spectra of what is seen under a linear model."""
@@ -91,7 +91,7 @@ class SmoothedMotion:
         self.spectrum += linear.noise[..., None]
         self.inverse = inverse(self.spectrum)
 
-    def _linearise(self, linear_of: Callable[[Structure], Linear]) -> None:
+    def _linearise(self, linear_of: Callable[[Structure, Complexes | None], Linear]) -> None:
         """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
         A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
@@ -101,14 +101,14 @@ class SmoothedMotion:
             motion, untold_m = self._smoothed(smoother), self._untold_m(smoother)
             self._apply(self._forces_on_motion(self._wing, self._terms, motion, untold_m), linear_of)
 
-    def _apply(self, forces: _Forces, linear_of: Callable[[Structure], Linear]) -> None:
+    def _apply(self, forces: _Forces, linear_of: Callable[[Structure, Complexes | None], Linear]) -> None:
         """Forces in the linear model: mean slopes as stiffness and damping, their residual as a load."""
         structure, push = self._wing.structure, forces.push
         stiffness, damping = structure.stiffness_radps2 - push.per_q, structure.damping_radps - push.per_qdot
         if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
             raise ValueError("these forces make the wing unstable")
         self._forces = forces
-        self._take(linear_of(replace(structure, stiffness_radps2=stiffness, damping_radps=damping)))
+        self._take(linear_of(replace(structure, stiffness_radps2=stiffness, damping_radps=damping), push.filtered))
         if forces.rest is not None:
             self._push = forces.rest if self._measured is None else forces.rest + self._measured
 

@@ -24,7 +24,7 @@ from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
-_BANDS = 60  # of the gain over frequency
+_USUAL_HZ = 5.0  # of a first mode, where nothing has a memory
 _BUMP = 1e-3  # of the standard deviation, for a difference quotient
 _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
 _NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
@@ -40,18 +40,22 @@ _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 @dataclass(frozen=True, slots=True)
 class StatisticalLinearisation:
-    """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2."""
+    """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2.
+
+    ``filtered`` (n, n, f) per deflection is what a law with memory has at each frequency beyond these; None without.
+    """
 
     per_q: Floats
     per_qdot: Floats
     residual_mps2: Floats
+    filtered: Complexes | None = None
 
 
 class SensorLineariser:
-    """One recording's samples and what effects have done to them."""
+    """One recording's samples and what effects have done to them; ``first_hz`` is believed of the first mode."""
 
-    def __init__(self, observations: Observations, transforms: Transforms) -> None:
-        self._observations, self._transforms = observations, transforms
+    def __init__(self, observations: Observations, transforms: Transforms, first_hz: float = _USUAL_HZ) -> None:
+        self._observations, self._transforms, self._first_hz = observations, transforms, first_hz
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(observations.up_mps2.T)
         self._t_s: Any = observations.t_s
@@ -133,14 +137,16 @@ class SensorLineariser:
         if np.any(rest):
             per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), untold_m, rest)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
+        filtered: Complexes | None = None
         slipped = self._total(wing, lasting, q_m, qdot_mps)
         if np.any(slipped):
             weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
             per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
-            rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
+            beyond, filtered = self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
+            rest = rest + beyond
         for term in kicks:
             rest = rest + self._short(wing, term.effect)
-        return StatisticalLinearisation(per_q, per_qdot, rest)
+        return StatisticalLinearisation(per_q, per_qdot, rest, filtered)
 
     def _total(self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Floats:
         total = np.zeros_like(q_m)
@@ -195,12 +201,17 @@ class SensorLineariser:
         weights = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
         return np.asarray(weights.T)
 
-    def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
-        """Part of a force that no linear filter of the motion makes, band by band, (n, m)."""
+    def _uncorrelated(self, rest: Floats, q_m: Floats) -> tuple[Floats, Complexes]:
+        """Part (n, m) of a force that no linear filter of the motion makes, band by band, and that filter (n, n, f).
+
+        Bands are as wide as the first mode's frequency and lie about its multiples: wider than any resonance, for a
+        filter that follows one follows chance, and takes from the force what drives the mode there.
+        """
         taper = self._transforms.taper
         spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
-        count, bands = spectrum.shape[1], min(_BANDS, spectrum.shape[1])
-        first = np.linspace(0, count, bands, endpoint=False).astype(np.int64)
+        count = spectrum.shape[1]
+        width = self._first_hz * self._transforms.count * self._transforms.dt_s
+        first = np.append(0, np.arange(0.5 * width, count, width).astype(np.int64))
         power = np.add.reduceat(motion[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
         with_force = np.add.reduceat(wanted[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
         total = np.trace(power, axis1=1, axis2=2).real
@@ -210,7 +221,7 @@ class SensorLineariser:
         )
         in_each = np.repeat(filters.transpose(1, 2, 0), np.diff(np.append(first, count)), axis=-1)
         spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
-        return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
+        return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1)), in_each
 
     def _force(self, wing: WingModel, term: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
         static = np.zeros((wing.count, 1))
