@@ -46,9 +46,9 @@ class RelativeRotation:
         The slow part alone (static bend, thermal set, mounting), carried from pair to pair.
     parallax_scale : float
         How much more the matches scatter across the epipolar lines than their sigmas say; 0 where none were used.
-    lens : (7,) float64
+    lens : (9,) float64
         Residual of the lenses, left minus right: relative focal length, first radial term, keystone x and y, thin prism
-        x and y; mean of the two radial terms (:mod:`companion.core.stereo.lens_residual`).
+        x and y; means of the radial terms and of the keystones (:mod:`companion.core.stereo.lens_residual`).
     flow : int
         Features whose motion since an earlier left image told of the rotation too.
     """
@@ -61,7 +61,7 @@ class RelativeRotation:
     slow_covariance: Floats
     matches: int
     parallax_scale: float
-    lens: Floats = field(default_factory=lambda: np.zeros(7))
+    lens: Floats = field(default_factory=lambda: np.zeros(9))
     flow: int = 0
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -25,7 +27,15 @@ from companion.core.stereo.epipolar_states import (
 )
 from companion.core.stereo.flow import FlightBetween, FlowInnovation, FlowView
 from companion.core.stereo.geometry import Pose, Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS, RADIAL, RADIAL_MEAN
+from companion.core.stereo.lens_residual import (
+    PAIR_TERMS,
+    RADIAL,
+    RADIAL_MEAN,
+    TILT_X,
+    TILT_X_MEAN,
+    TILT_Y,
+    TILT_Y_MEAN,
+)
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import TurnTrack, VehicleTrack, turn_covariance
@@ -44,14 +54,14 @@ def _view(
     noise_rad: float = 0.0,
     seed: int = 1,
     *,
-    radial: tuple[float, float] = (0.0, 0.0),
+    lenses: Mapping[str, tuple[float, float]] = MappingProxyType({}),
     lower_m: float = 0.0,
     bank: float = 0.0,
 ) -> FlowView:
     """Ground 60 m below, seen twice; the cameras part by a toe, and fly faster, than is believed.
 
-    ``radial`` are terms of both lenses that nobody knows; the right camera sits lower than believed, and the ground
-    rises to the right by the slope ``bank``.
+    ``lenses`` are terms of left and right lens that nobody knows; the right camera sits lower than believed, and the
+    ground rises to the right by the slope ``bank``.
     """
     rng = np.random.default_rng(seed)
     turn_rad = np.array([0.02, -0.01, 0.015])
@@ -59,14 +69,14 @@ def _view(
     points[:, 2] -= bank * points[:, 1]
     left_m, right_m = np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])
     half = np.array([0.0, 0.5 * toe_rad, 0.0]) @ _EPIPOLAR
-    seen_left = _slopes((points - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, radial[0])
+    seen_left = _slopes((points - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, _bent(lenses, 0))
     right_points = points - right_m - np.array([0.0, 0.0, lower_m])
-    seen_right = _slopes(right_points @ exp_rotation(-half).T @ _DOWN.T, noise_rad, rng, radial[1])
+    seen_right = _slopes(right_points @ exp_rotation(-half).T @ _DOWN.T, noise_rad, rng, _bent(lenses, 1))
     # the earlier body axes: those of the later ones turned back, and moved back along the path
     moved_m = np.array([_SPEED_MPS * _PASSED_S, 0.0, 0.0])
     true_moved_m = moved_m + np.array([faster_mps * _PASSED_S, 0.0, 0.0])
     before = points @ exp_rotation(turn_rad).T + true_moved_m
-    seen_before = _slopes((before - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, radial[0])
+    seen_before = _slopes((before - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng, _bent(lenses, 0))
     pose, count = Pose(_DOWN, left_m), len(points)
     covariance = _MAY_BE_MPS**2 * np.eye(3)
     return FlowView(
@@ -82,9 +92,15 @@ def _view(
     )
 
 
-def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator, radial: float = 0.0) -> Floats:
+def _bent(lenses: Mapping[str, tuple[float, float]], side: int) -> Floats:
+    """Radial term and keystone x, y of one lens."""
+    return np.array([lenses.get(name, (0.0, 0.0))[side] for name in ("radial", "keystone_x", "keystone_y")])
+
+
+def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator, lens: Floats) -> Floats:
     rays = points / points[:, 2:]
-    rays[:, :2] *= 1.0 + radial * (rays[:, :2] ** 2).sum(axis=1, keepdims=True)
+    x, y = rays[:, 0].copy(), rays[:, 1].copy()
+    rays[:, :2] *= (1.0 + lens[0] * (x * x + y * y) + lens[1] * x + lens[2] * y)[:, np.newaxis]
     rays[:, :2] += noise_rad * rng.standard_normal((len(points), 2))
     return rays
 
@@ -116,11 +132,15 @@ def test_what_is_known_of_velocity_and_turn_is_in_the_prediction() -> None:
     assert np.abs(told_view.innovation(*level, off_mps, off_rad).residual_rad).max() < 1e-9
 
 
-def test_radial_terms_that_are_known_leave_nothing() -> None:
+@pytest.mark.parametrize(
+    ("bends", "difference", "mean"),
+    [("radial", RADIAL, RADIAL_MEAN), ("keystone_x", TILT_X, TILT_X_MEAN), ("keystone_y", TILT_Y, TILT_Y_MEAN)],
+)
+def test_lens_terms_that_are_known_leave_nothing(bends: str, difference: int, mean: int) -> None:
     """The left lens bends both of its rays: a difference and a mean of 6 and 4 thousandths leave second order alone."""
-    view, terms = _view(radial=(7e-3, 1e-3)), np.zeros(PAIR_TERMS)
+    view, terms = _view(lenses={bends: (7e-3, 1e-3)}), np.zeros(PAIR_TERMS)
     left_as = view.innovation(np.zeros(3), terms).residual_rad
-    terms[[RADIAL, RADIAL_MEAN]] = 6e-3, 4e-3
+    terms[[difference, mean]] = 6e-3, 4e-3
     assert np.abs(view.innovation(np.zeros(3), terms).residual_rad).max() < 0.02 * np.abs(left_as).max()
 
 
@@ -131,8 +151,8 @@ def test_a_place_of_the_right_camera_that_is_known_leaves_nothing() -> None:
     assert np.abs(view.innovation(*level, np.array([0.0, 0.02])).residual_rad).max() < 1e-7
 
 
-@pytest.mark.parametrize("term", [RADIAL, RADIAL_MEAN])
-def test_derivatives_by_radial_terms_are_those_of_differences(term: int) -> None:
+@pytest.mark.parametrize("term", [RADIAL, TILT_X, TILT_Y, RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN])
+def test_derivatives_by_lens_terms_are_those_of_differences(term: int) -> None:
     """Through the depth and through the left camera's own rays."""
     view, step = _view(), 1e-5 * np.eye(PAIR_TERMS)[term]
     none = np.zeros(PAIR_TERMS)

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,7 @@ from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
 _CLEARLY_WORSE = 1.5  # chosen: good lenses look so much worse than they are in one flight of eight
+_DOUBT = 2.0  # chosen: of variance, by a pair whose flow contradicts; from eight sigma to four within two pairs
 _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
 # trace for a pair's own baseline: a tenth of its length flown between exposures (choice); far more is singular
 _MAX_SHIFT_RAD2 = 0.01
@@ -70,7 +71,7 @@ class EpipolarUpdate:
         Pitch, yaw, roll of the slow part alone, the bend's included: what to carry to the next pair.
     total_rad, total_covariance : (3,), (3, 3) float64
         Slow part and this pair's error of the fast part: what to correct this pair by.
-    lens, joint_covariance : (7,), (10, 10) float64
+    lens, joint_covariance : (9,), (12, 12) float64
         Terms of the lens residual; covariance of total rotation and lens terms together.
     parallax_scale : float
         How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
@@ -208,7 +209,8 @@ class EpipolarFilter:
     def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
         """The answer with what the flow tells, and whether that contradicts it, shortly after flow that agreed.
 
-        A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
+        A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside. One that has
+        never agreed shows a keystone that matches cannot tell from toe: a calibration that is doubted pair by pair.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
         innovation = flow.innovation(
@@ -221,7 +223,10 @@ class EpipolarFilter:
         updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend)
         if updated is None:
             used_ns = self._flow_used_ns
-            return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
+            if used_ns is not None:
+                return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
+            self.lens_ratio *= _DOUBT
+            return replace(answer, covariance=_DOUBT * answer.covariance), False
         self._flow_used_ns = t_host_ns
         return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
@@ -244,7 +249,7 @@ class EpipolarFilter:
         return np.array([*prior.variances(), 0.0, *constants, *none, *none, *[prior.turn_rate_radps**2] * 3])
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
-        """Rotation and lens terms (10,) and their covariance (10, 10) at a time at or after the last update.
+        """Rotation and lens terms (12,) and their covariance (12, 12) at a time at or after the last update.
 
         The rotation is slow part and error of scale; this pair's own fast part is not in it.
         """

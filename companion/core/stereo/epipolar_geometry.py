@@ -40,13 +40,13 @@ def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
 
 
 def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
-    """Parallax (n,) that a state (12,) leaves, and how it falls with each of its entries (n, 12).
+    """Parallax (n,) that a state (14,) leaves, and how it falls with each of its entries (n, 14).
 
     Parameters
     ----------
     epipolar_rays : Rays
         Matched rays in the epipolar frame.
-    state : (12,) float64
+    state : (14,) float64
         Pitch, yaw, roll of the right camera against the left in all, baseline y and z, terms of the lens residual. Each
         camera has half of the rotation: a bend turns both, and leaves the baseline where it was.
     """

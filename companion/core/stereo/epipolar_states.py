@@ -38,7 +38,7 @@ INNOVATION = slice(PERSISTENT_STATES + 2, ALL_STATES)
 SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
 """Pitch, yaw and roll that a rendered pair over ground shows for seconds without having turned, rad (1 sigma)."""
 
-DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001)
+DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001, 0.0003, 0.0003)
 """Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say."""
 
 
@@ -53,8 +53,7 @@ class ExtrinsicsPrior:
     walk_rad_rts : float
         How fast it wanders, per square root of a second; it is pulled back so that its sigma stays ``rotation_rad``.
     baseline_rad : float
-        Sigma of the baseline's direction, a constant: mounting, static bend that differs between the wings, keystone
-        that both lenses share.
+        Sigma of the baseline's direction, a constant: mounting, static bend that differs between the wings.
     lens : tuple of float
         Sigma of each term of the lens residual, in the order of ``lens_residual``; constants.
     yaw_bias_rad : float
@@ -80,7 +79,7 @@ class ExtrinsicsPrior:
     systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 
     def variances(self) -> Floats:
-        """Diagonal (12,) of the first covariance, bend and steady error left out."""
+        """Diagonal (14,) of the first covariance, bend and steady error left out."""
         sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + list(self.lens)
         return np.array(sigmas, dtype=np.float64) ** 2
 

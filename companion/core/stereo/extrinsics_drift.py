@@ -17,7 +17,7 @@ from companion.core.stereo.epipolar_states import SYSTEMATIC_DOWN_RAD, BendBelie
 from companion.core.stereo.exposure import CameraExposure, tip_signs
 from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS, mean_tilt_variance, pair_variances
+from companion.core.stereo.lens_residual import PAIR_TERMS, pair_variances
 from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
@@ -49,7 +49,7 @@ class ExtrinsicsDriftFilter:
         self.flow_contradicts = False
         """Whether the last pair's flow contradicts what is believed of the toe, shortly after flow that agreed."""
         self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
-        """Covariance (10, 10) of the last rotation that was given and of its lens terms, epipolar frame."""
+        """Covariance (12, 12) of the last rotation that was given and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf
         self._bend_ns = 0
         self._mean_slope_rad: float | None = None
@@ -211,7 +211,7 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
     return ExtrinsicsPrior(
         rotation_rad=mounting,
         walk_rad_rts=max(walk, _MIN_WALK_RAD_RTS),
-        baseline_rad=math.sqrt(2.0 * (_CAMERA_PLACE_SIGMA_M / rig.baseline_m) ** 2 + mean_tilt_variance(airframe)),
+        baseline_rad=math.sqrt(2.0) * _CAMERA_PLACE_SIGMA_M / rig.baseline_m,
         lens=tuple(np.sqrt(pair_variances(airframe)).tolist()),
         yaw_bias_rad=_yaw_bias_rad(rig),
         bend_scale=_bend_scale_sigma(airframe),

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.geometry import Pose
-from companion.core.stereo.lens_residual import PAIR_TERMS, left_radial, radial_field, straightened
+from companion.core.stereo.lens_residual import PAIR_TERMS, left_fields, left_terms, straightened
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Floats
@@ -45,7 +45,7 @@ class FlowInnovation:
     rotation : (2m, 3) float64
         Change of the prediction per radian of relative rotation, epipolar axes, through the inverse depth alone; the
         half turn of the left camera's own axes, under 2 % of it, is left out.
-    lens : (2m, 7) float64
+    lens : (2m, 9) float64
         Per unit of each term of the pair's lens residual.
     baseline : (2m, 2) float64
         Per radian of the baseline's direction across the epipolar frame's x, y and z.
@@ -144,7 +144,7 @@ class FlowView:
         ----------
         rotation_rad : (3,) float64
             Relative rotation, epipolar axes.
-        lens : (7,) float64
+        lens : (9,) float64
             Lens terms.
         velocity_mps, turn_rad : (3,) float64
             Errors of velocity and turn that are known already, epipolar axes: flown less told.
@@ -153,9 +153,10 @@ class FlowView:
         """
         inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens, baseline)
         half = self._half_turn(rotation_rad)
-        radial, per_term = left_radial(lens)
-        bent_earlier, bent_later = radial_field(self.earlier), radial_field(self.later)
-        earlier, later = self.earlier[:, :2] - radial * bent_earlier[:, :2], self.later - radial * bent_later
+        left, per_term = left_terms(lens)
+        quarter = np.rint(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
+        bent_earlier, bent_later = left_fields(self.earlier, quarter), left_fields(self.later, quarter)
+        earlier, later = (self.earlier - bent_earlier @ left)[:, :2], self.later - bent_later @ left
         earlier_from_body = self.earlier_pose.camera_from_body @ half
         body_from_epipolar = self.epipolar_from_body.T
         turned = exp_rotation(body_from_epipolar @ turn_rad) @ exp_rotation(self.between.turn_rad)
@@ -176,10 +177,9 @@ class FlowView:
         per_inverse = project @ path_m
         direction_per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
         path_per_velocity_s = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
-        direction_per_radial = -bent_later @ body_from_later.T @ earlier_from_body.T
-        per_radial = bent_earlier[:, :2] + (project @ direction_per_radial[..., np.newaxis])[..., 0]
+        per_left = bent_earlier[:, :2] - project @ (earlier_from_body @ body_from_later) @ bent_later
         per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
-        per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_radial[:, :, np.newaxis] * per_term
+        per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_left @ per_term
         columns = np.concatenate(
             [
                 per_depth,
@@ -199,7 +199,7 @@ class FlowView:
         )
 
     def _inverse_depths(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> tuple[Floats, Floats, Floats]:
-        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 12) per state."""
+        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 14) per state."""
         changed = [self._turned(rotation_rad, lens, baseline)]
         changed += [self._turned(rotation_rad + _STEP * axis, lens, baseline) for axis in np.eye(3)]
         changed += [self._turned(rotation_rad, lens + _STEP * term, baseline) for term in np.eye(PAIR_TERMS)]

@@ -12,12 +12,13 @@ point and tangential terms, are what a calibration tells apart: correlations of 
 
 Across the epipolar lines ``t_x`` shows as ``t_x x y``, which is just how a yaw shows, and ``s_x`` not at all: no number
 of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`). The
-flow tells the toe without ``t_x``, and so the two apart: there only the rest is considered.
+flow tells the toe without ``t_x``, and so the two apart: there only ``s_x`` is considered.
 
-A pair sees the difference of its lenses. Of what both have wrong alike two terms count, for near things lie
+A pair sees the difference of its lenses. Of what both have wrong alike three terms count, for near things lie
 elsewhere in either image: the radial one leaves ``2 rho x y d`` across the lines at the disparity ``d``, a yaw of near
-things alone, which is considered too; keystone leaves ``t_x y d``, just what a baseline leaves that points ahead by
-``t_x`` more than believed.
+things alone, which matches never move either; keystone leaves ``t_x y d``, just what a baseline leaves that points
+ahead by ``t_x`` more than believed. The flow runs through the left lens alone, which has the mean and half of the
+difference: where both its rays are bent, the path is.
 """
 
 from __future__ import annotations
@@ -32,17 +33,18 @@ FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_X, PRISM_Y = range(6)
 """Terms of one lens, and of the difference of two, left minus right."""
 LENS_TERMS = 6
 """Terms of one lens."""
-RADIAL_MEAN = 6
-"""Last term of a pair: mean of the two radial terms."""
-PAIR_TERMS = 7
-"""Terms of a pair: the six of the difference, and the mean of the radial ones."""
+RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN = range(6, 9)
+"""Last terms of a pair: means of both radial terms and of both keystones."""
+PAIR_TERMS = 9
+"""Terms of a pair: the six of the difference, and three means."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
 """Terms of a pair that matches never move: what shows of them shows as yaw."""
 CONSIDERED_IN_FLOW = (PRISM_X,)
 """Terms of a pair that the flow never moves either."""
 
-OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y, RADIAL_MEAN]
+OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y, RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN]
 """Terms of a pair that matches show, or the flow."""
+_MEANS = [RADIAL, TILT_X, TILT_Y]  # terms of one lens whose means a pair has
 _PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
 
 
@@ -54,25 +56,27 @@ def residual_field(x: Floats, y: Floats) -> Floats:
     return np.stack([np.stack(along, axis=-1), np.stack(across, axis=-1)], axis=1)
 
 
-def radial_field(rays: Floats) -> Floats:
-    """Error (n, 3) of rays (n, 3) of unit depth per unit of the radial term of their lens; 0 along the axis."""
-    x, y = rays[:, 0], rays[:, 1]
-    along, across = residual_field(x, y)[:, :, RADIAL].T
-    return np.stack([along, across, np.zeros_like(x)], axis=1)
+def left_fields(rays: Floats, quarter: Floats) -> Floats:
+    """Error (n, 3, 3) of the left camera's rays (n, 3) of unit depth per unit of its radial term and both keystones.
+
+    ``quarter`` (3, 3) are the quarter turns from the camera's axes, in which rays and errors are, to the epipolar
+    frame's, in which keystones are.
+    """
+    x, y, _ = (rays @ quarter.T).T
+    fields: Floats = quarter[:2].T @ residual_field(x, y)[:, :, _MEANS]
+    return fields
 
 
-def left_radial(terms: Floats) -> tuple[float, Floats]:
-    """Radial term of the left lens, and its change (7,) per unit of each of the pair's terms (7,)."""
-    per_term = np.zeros(PAIR_TERMS)
-    per_term[RADIAL], per_term[RADIAL_MEAN] = 0.5, 1.0
-    return float(per_term @ terms), per_term
+def left_terms(terms: Floats) -> tuple[Floats, Floats]:
+    """Radial term and keystones (3,) of the left lens, and their change (3, 9) per unit of the pair's terms (9,)."""
+    per_term = 0.5 * np.eye(PAIR_TERMS)[_MEANS] + np.eye(PAIR_TERMS)[LENS_TERMS:]
+    return per_term @ terms, per_term
 
 
 def parallax_columns(left: Floats, right: Floats) -> Floats:
-    """Parallax (n, 7) that a unit of each term of the pair leaves; slopes (n, 2) of matched rays."""
+    """Parallax (n, 9) that a unit of each term of the pair leaves; slopes (n, 2) of matched rays."""
     across_left, across_right = (residual_field(*slopes.T)[:, 1] for slopes in (left, right))
-    radial = across_left[:, RADIAL] - across_right[:, RADIAL]
-    return np.column_stack([0.5 * (across_left + across_right), radial])
+    return np.column_stack([0.5 * (across_left + across_right), (across_left - across_right)[:, _MEANS]])
 
 
 def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float = 1.0) -> float:
@@ -85,9 +89,9 @@ def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float
 
     Parameters
     ----------
-    terms, covariance : (7,), (7, 7) float64
+    terms, covariance : (9,), (9, 9) float64
         Posterior of the pair's terms.
-    prior : (7,) float64
+    prior : (9,) float64
         Variances that the calibration states.
     believed : float
         Ratio under whose prior the terms were estimated.
@@ -103,27 +107,22 @@ def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float
 
 
 def straightened(rays: Rays, residual: Floats, epipolar_from_body: Floats) -> Rays:
-    """Rays in body axes with the residual (7,) of the pair taken out; half of the difference from each camera.
+    """Rays in body axes with the residual (9,) of the pair taken out; half of the difference from each camera.
 
     Terms are those of the epipolar frame, which every camera's axes are close to, or turned from by quarter turns.
     """
     both = np.zeros(LENS_TERMS)
-    both[RADIAL] = residual[RADIAL_MEAN]
+    both[_MEANS] = residual[LENS_TERMS:]
     half = 0.5 * residual[:LENS_TERMS]
     left = _corrected(rays.left, both + half, epipolar_from_body)
     return Rays(rays.left_m, left, rays.right_m, _corrected(rays.right, both - half, epipolar_from_body))
 
 
 def pair_variances(airframe: Airframe) -> Floats:
-    """Prior variances (7,) of the pair's terms: the cameras are calibrated with errors of their own."""
+    """Prior variances (9,) of the pair's terms: the cameras are calibrated with errors of their own."""
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     difference = (np.stack([_sigmas(camera) for camera in cameras]) ** 2).sum(axis=0)
-    return np.append(difference, 0.25 * difference[RADIAL])
-
-
-def mean_tilt_variance(airframe: Airframe) -> float:
-    """Prior variance of the mean of both lenses' keystone, rad^2."""
-    return 0.25 * float(pair_variances(airframe)[TILT_X])
+    return np.concatenate([difference, 0.25 * difference[_MEANS]])
 
 
 def _sigmas(camera: Camera) -> Floats:

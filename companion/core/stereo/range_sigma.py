@@ -36,7 +36,7 @@ class Gradient:
         Per metre of displacement of the camera.
     focal : (2,) float64
         Per relative change of the focal length.
-    lens : (7,) float64
+    lens : (9,) float64
         Per unit of each term by which the lens residual is taken out more than it is.
     """
 
@@ -130,7 +130,7 @@ def budget(
     propagated jointly, calibration and stamping errors of the two cameras are independent. ``motion`` is the flight
     between the exposures: what is not known of it, and stamps that are wrong, displace the cameras.
 
-    ``apart`` (10, 10), body axes, is the covariance of the cameras' relative rotation and of the lens residual
+    ``apart`` (12, 12), body axes, is the covariance of the cameras' relative rotation and of the lens residual
     where matches have measured it (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other
     causes only those that both cameras share remain.
     """

@@ -69,7 +69,7 @@ class PairConditions:
     turned : RelativeRotation or None
         What the matches say about the relative rotation beyond the bend, and about the lenses; None: the bend is taken
         as it is.
-    joint_covariance : (10, 10) float64 or None
+    joint_covariance : (12, 12) float64 or None
         Of that rotation and of the lens terms; None: the lenses are taken as they were calibrated.
     attitude_rad : tuple or None
         Roll and pitch, by which sectors are levelled.
@@ -82,7 +82,7 @@ class PairConditions:
     attitude_rad: tuple[float, float] | None = None
 
     def measured_rotation(self, body_from_epipolar: Floats) -> tuple[Floats, Floats, Floats] | None:
-        """Relative rotation (3,) by the matches, lens terms (7,), covariance (10, 10) of both; body axes."""
+        """Relative rotation (3,) by the matches, lens terms (9,), covariance (12, 12) of both; body axes."""
         if self.turned is None:
             return None
         covariance = self.turned.covariance if self.joint_covariance is None else self.joint_covariance
@@ -153,7 +153,7 @@ class _Toe:
 class _Scene:
     """One pair as it was exposed: where the cameras were, how well that is known, and the rays of its matches.
 
-    ``lens`` (7,) are the terms of the lens residual; ``apart`` (10, 10), body axes, is the covariance of the relative
+    ``lens`` (9,) are the terms of the lens residual; ``apart`` (12, 12), body axes, is the covariance of the relative
     rotation and of these terms where matches have told them.
     """
 
