@@ -202,6 +202,18 @@ def test_the_filter_predicts_the_flow_with_the_velocity_that_it_knows(monkeypatc
     assert np.allclose(asked[4], [4e-3, 1e-3])
 
 
+def test_doubt_of_the_calibration_ends_and_needs_features() -> None:
+    """A velocity that is wrong from the start by a third contradicts every pair; one without features, none."""
+    filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
+    few = _view(faster_mps=8.0)
+    few = dataclasses.replace(few, earlier=np.full_like(few.earlier, np.nan))
+    filtered._flown(_before(1e-5), few, NO_BEND, 0)
+    assert filtered.lens_ratio == 1.0
+    for _ in range(40):
+        filtered._flown(_before(1e-5), _view(faster_mps=8.0), NO_BEND, 0)
+    assert 50.0 < filtered.lens_ratio < 300.0
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_derivatives_by_turn_and_velocity_are_those_of_differences(axis: int) -> None:
     """The analytic rows are what a small change of turn and path makes of the prediction."""

@@ -52,6 +52,7 @@ from companion.records import Floats, Reject
 
 _CLEARLY_WORSE = 1.5  # chosen: good lenses look so much worse than they are in one flight of eight
 _DOUBT = 2.0  # chosen: of variance, by a pair whose flow contradicts; from eight sigma to four within two pairs
+_MOST_DOUBT = 100.0  # chosen: of variance; a calibration wrong by more than ten sigma is none, or the velocity is wrong
 _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
 # trace for a pair's own baseline: a tenth of its length flown between exposures (choice); far more is singular
 _MAX_SHIFT_RAD2 = 0.01
@@ -225,6 +226,8 @@ class EpipolarFilter:
             used_ns = self._flow_used_ns
             if used_ns is not None:
                 return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
+            if not innovation.is_enough or self.lens_ratio > _MOST_DOUBT:
+                return answer, False
             self.lens_ratio *= _DOUBT
             return replace(answer, covariance=_DOUBT * answer.covariance), False
         self._flow_used_ns = t_host_ns

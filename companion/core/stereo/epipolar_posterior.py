@@ -29,7 +29,7 @@ from companion.core.stereo.epipolar_states import (
     BendBelief,
     rotation_rows,
 )
-from companion.core.stereo.flow import LEAST_FLOW, FlowInnovation
+from companion.core.stereo.flow import FlowInnovation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
@@ -166,11 +166,9 @@ def with_flow(
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
-    columns = np.concatenate([flow.rotation, flow.lens, flow.baseline, flow.turn, flow.velocity], axis=1)
-    finite = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad) & np.isfinite(columns).all(axis=1)
-    if np.count_nonzero(finite) < 2 * LEAST_FLOW:
+    if not flow.is_enough:
         return None
-    add_up = rotation_rows(bend)
+    finite, add_up = flow.finite, rotation_rows(bend)
     design = np.zeros((len(finite), ALL_STATES + 3))
     design[:, :ALL_STATES] = flow.rotation @ add_up
     design[:, LENS], design[:, BASELINE], design[:, SHIFT] = flow.lens, flow.baseline, flow.baseline

@@ -21,7 +21,7 @@ from companion.core.stereo.geometry import Pose
 from companion.core.stereo.lens_residual import PAIR_TERMS, left_fields, left_terms, straightened
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 LONGEST_NS = 600_000_000
 """Between two left images: a feature that flies on for longer leaves the picture (choice)."""
@@ -62,6 +62,22 @@ class FlowInnovation:
     baseline: Floats
     turn: Floats
     velocity: Floats
+
+    @property
+    def columns(self) -> Floats:
+        """Change of the prediction (2m, 18) by rotation, lens, baseline, turn and velocity."""
+        return np.concatenate([self.rotation, self.lens, self.baseline, self.turn, self.velocity], axis=1)
+
+    @property
+    def finite(self) -> Bools:
+        """Mask (2m,) of the rows that are numbers."""
+        measured = np.isfinite(self.residual_rad) & np.isfinite(self.sigma_rad)
+        return np.asarray(measured & np.isfinite(self.columns).all(axis=1), dtype=np.bool_)
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether so many features are numbers as the flow needs."""
+        return int(np.count_nonzero(self.finite)) >= 2 * LEAST_FLOW
 
 
 @dataclass(frozen=True, slots=True, eq=False)
