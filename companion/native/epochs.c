@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "linear.h"
 #include "streams.h"
 
 #define GRAVITY_MPS2 9.80665
@@ -24,7 +25,7 @@ typedef struct {
 } noise_record;
 
 typedef struct {
-    int64_t n, earlier;
+    int64_t n, earlier, averaged;
     double step_s;
     const uint8_t *sends, *root_present; /* (3, 6) axes of each station */
     const double *levers;                /* (2, 3) from root to tips */
@@ -185,6 +186,21 @@ static void set(const jacobian *j, int row, int64_t column, double value)
         j->out[row * j->parameters + column] = value;
 }
 
+/* Mean (width,) of values (n, width) over the epochs from `earlier + averaged - 1` to `earlier` before epoch k in which
+ * the root was present; those of epoch k where it was in none. */
+static void mean_before(const double *values, int64_t width, const motion *m, int64_t k, double *out)
+{
+    int64_t last = k - m->earlier, first = most_of(last - m->averaged + 1, 0), count = 0;
+    memset(out, 0, (size_t)width * sizeof *out);
+    for (int64_t at = first; at <= last; at++)
+        if (m->root_present[at]) {
+            add_scaled(out, values + at * width, 1.0, width);
+            count++;
+        }
+    for (int64_t c = 0; c < width; c++)
+        out[c] = count ? out[c] / (double)count : values[k * width + c];
+}
+
 /* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is that of some epochs
  * earlier: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
@@ -192,9 +208,10 @@ static void set(const jacobian *j, int row, int64_t column, double value)
 static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    int64_t past = k >= m->earlier ? k - m->earlier : k;
-    const double *now = m->rigid[side] + 3 * k, *rigid = m->rigid[side] + 3 * past;
-    const double *turn = m->smooth + past * CHANNELS + ROLL;
+    double rigid[3], root[CHANNELS];
+    mean_before(m->rigid[side], 3, m, k, rigid);
+    mean_before(m->smooth, CHANNELS, m, k, root);
+    const double *now = m->rigid[side] + 3 * k, *turn = root + ROLL;
     double y = tip[1], z = tip[2], scaled_y = y + rigid[1] - now[1], scaled_z = z + rigid[2] - now[2];
     double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
     int vertical = Z_LEFT + side, lateral = Y_LEFT + side, roll = P_LEFT + side;
@@ -357,7 +374,7 @@ static double *make_room(int64_t n, motion *m, averages *station)
  * sensor in the Jacobian, -1 where absent; the arrays of `record` have n epochs. */
 EXPORT int64_t epochs_build(const stream_record *root, const stream_record *left, const stream_record *right,
                             const array *edges_in, const array *sends_in, const array *levers_in,
-                            const noise_record *noise, const array *columns_in, int64_t earlier,
+                            const noise_record *noise, const array *columns_in, int64_t earlier, int64_t averaged,
                             const epochs_record *record)
 {
     bool good = true;
@@ -365,7 +382,7 @@ EXPORT int64_t epochs_build(const stream_record *root, const stream_record *left
     const stream_record *records[3] = {root, left, right};
     const int64_t *edges_ns = integers(edges_in, 1, &good), *columns = integers(columns_in, 2, &good);
     int64_t n = extent(edges_in, 0) - 1, status = 0;
-    motion m = {.n = n, .earlier = earlier};
+    motion m = {.n = n, .earlier = earlier, .averaged = averaged};
     averages station[3];
     epoch_columns out;
     m.sends = truths(sends_in, 2, &good);

@@ -20,6 +20,7 @@ from companion.core.kernels.filter_loops import filter_epochs
 from companion.core.tracking.bias_information import age_information, marginalise, solve_parameters
 from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
+from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.states import ROOT_ERRORS, ROWS, SENSOR_ERRORS, SensorNoise, StateLayout
 from companion.records import Floats
 
@@ -194,10 +195,12 @@ class SeparatedBiasFilter:
         slots = np.arange(self.steps - count, self.steps) % self.history_length
         return self.history.innovation[slots], self.history.innovation_covariance[slots]
 
-    def take_noise(self, sensor_variance: Floats, root_y_variance: float) -> None:
-        """Go on with other variances of the rows, (9,), and of the root's lateral axis in both slope rows."""
+    def take_noise(self, noise: RowNoise) -> None:
+        """Go on with other variances of the rows and of the root's axes that both tips' rows share."""
         self._constants = self._constants._replace(
-            sensor_variance=sensor_variance.copy(), root_y_variance=root_y_variance
+            sensor_variance=noise.variance.copy(),
+            root_y_variance=noise.root_y_variance,
+            root_z_variance=noise.root_z_variance,
         )
 
     def run(self, epochs: Epochs) -> None:

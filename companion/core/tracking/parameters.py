@@ -113,6 +113,9 @@ class ModeParameters:
         Standard deviation of each entry of :meth:`log_params`.
     slow_corner_hz : float
         The filter takes a lower corner above it for this one: the fit cannot exclude it (:mod:`.adaptation.slow_load`).
+    noise_ratio : float
+        Density of the vertical axes' noise over the believed one: the root's in the symmetric family, the tips' in the
+        antisymmetric one.
     """
 
     modes: tuple[LoadedMode, ...]
@@ -121,6 +124,7 @@ class ModeParameters:
     reference_hz: float
     log_sigma: Floats
     slow_corner_hz: float = math.inf
+    noise_ratio: float = 1.0
 
     @property
     def frequency_hz(self) -> float:
@@ -160,7 +164,7 @@ class ModeParameters:
         return np.asarray(np.log(np.array(values)))
 
     def with_log_params(
-        self, log_params: Floats, log_sigma: Floats, slow_corner_hz: float = math.inf
+        self, log_params: Floats, log_sigma: Floats, slow_corner_hz: float = math.inf, noise_ratio: float = 1.0
     ) -> ModeParameters:
         """Parameters at ``log_params`` with ``log_sigma``, both (5 + 4 (m - 1),)."""
         v = [float(value) for value in np.exp(log_params)]
@@ -168,7 +172,8 @@ class ModeParameters:
         for at in range(FIRST_PARAMETERS, len(v), FURTHER_PARAMETERS):
             coherence = float(np.tanh(log_params[at + COHERENCE]))
             modes.append(LoadedMode(v[at + FREQUENCY], v[at + DAMPING], v[at + LOAD], coherence))
-        return ModeParameters(tuple(modes), v[CORNER_1], v[CORNER_2], self.reference_hz, log_sigma, slow_corner_hz)
+        beside = self.reference_hz, log_sigma, slow_corner_hz, noise_ratio
+        return ModeParameters(tuple(modes), v[CORNER_1], v[CORNER_2], *beside)
 
 
 def prior_parameters(family: ModeFamily, gust: Gust) -> ModeParameters:

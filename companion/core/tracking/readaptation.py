@@ -72,6 +72,7 @@ def readapt(
     parameters = yield from fit
     yield
     new_model = model(parameters)
+    learned.take_vertical(tips=parameters[1].noise_ratio, root=parameters[0].noise_ratio)
     yield
     tried, segments = trial(new_model, learned), 0
     while tried is not None and segments < len(epochs):

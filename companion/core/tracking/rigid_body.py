@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import Epochs
-from companion.core.tracking.error_jacobians import EARLIER, error_columns
+from companion.core.tracking.error_jacobians import AVERAGED, EARLIER, error_columns
 from companion.core.tracking.states import M_LEFT, P_ROOT, ROWS, Z_LEFT, SensorNoise, StateLayout
 from companion.core.tracking.streams import CHANNELS, SampleBuffer, StreamSamples
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
@@ -21,7 +21,8 @@ from companion.records import Axis, Bools, Floats, Ints
 _ROOT_NOISE_SIGMAS = 6.0  # chosen: of the root's epochs; smoothing removes more than that of motion only
 _MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _PADDING = 2  # derived: epochs at either end that central differences of smoothed values need
-_BEFORE = _PADDING + EARLIER  # derived: those of values some epochs earlier
+BEFORE = _PADDING + EARLIER + AVERAGED - 1
+"""Epochs before the first one that are built with it: those over which rigid motion is averaged (derived)."""
 
 
 def without_gate_excess(epochs: Epochs, gate_excess: Floats) -> Epochs:
@@ -92,7 +93,7 @@ class MeasurementBuilder:
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
         padded = build_epochs(at_root, at_left, at_right, first_ns, step_ns, count, *fixed)
-        return padded.span(_BEFORE, _BEFORE + count)
+        return padded.span(BEFORE, BEFORE + count)
 
 
 class _RootNoise(NamedTuple):
@@ -108,7 +109,7 @@ def _sends(stream: SampleBuffer, letter: str) -> bool:
 
 
 _pack_samples, _pack_noise, _pack_epochs = packed(StreamSamples), packed(_RootNoise), packed(Epochs)
-_build = kernel("epochs_build", RECORD, RECORD, RECORD, ARRAY, ARRAY, ARRAY, RECORD, ARRAY, INTEGER, RECORD)
+_build = kernel("epochs_build", RECORD, RECORD, RECORD, ARRAY, ARRAY, ARRAY, RECORD, ARRAY, INTEGER, INTEGER, RECORD)
 
 
 def build_epochs(
@@ -124,9 +125,9 @@ def build_epochs(
     error_columns: Ints,
     parameter_count: int,
 ) -> Epochs:
-    """Epochs with ``_BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
-    edges_ns = first_ns + step_ns * np.arange(-_BEFORE, count + _PADDING + 1)
-    epochs = _empty(count + _BEFORE + _PADDING, parameter_count)
+    """Epochs with ``BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
+    edges_ns = first_ns + step_ns * np.arange(-BEFORE, count + _PADDING + 1)
+    epochs = _empty(count + BEFORE + _PADDING, parameter_count)
     _build(
         _pack_samples(root),
         _pack_samples(left),
@@ -137,6 +138,7 @@ def build_epochs(
         _pack_noise(noise),
         error_columns,
         EARLIER,
+        AVERAGED,
         _pack_epochs(epochs),
     )
     return epochs

@@ -47,11 +47,15 @@ class RowNoise:
         As ``SensorNoise.sensor_variance``: of the lateral rows in (m/s^2)^2.
     root_y_variance : float
         As ``SensorNoise.root_y_variance``.
+    root_z_variance : float
+        As ``SensorNoise.root_z_variance``.
     """
 
     def __init__(self, believed: SensorNoise) -> None:
         self.variance: Floats = believed.sensor_variance.copy()
         self.root_y_variance = believed.root_y_variance
+        self.root_z_variance = believed.root_z_variance
+        self._believed_vertical = believed.sensor_variance[:Y_LEFT].copy(), believed.root_z_variance
         self._columns = _columns()
         self._believed = self._all()
         self._beyond = np.zeros(len(self._believed))  # C_0 - C_1 over v, less one, of the last look
@@ -64,6 +68,11 @@ class RowNoise:
     def ratio(self) -> Floats:
         """Standard deviation of each learned source over the believed one, (6,)."""
         return np.asarray(np.sqrt(self._all() / self._believed))
+
+    def take_vertical(self, tips: float, root: float) -> None:
+        """Take the vertical axes' noise as the spectral fit has it, as ratios of variance to the believed one."""
+        believed_tips, believed_root = self._believed_vertical
+        self.variance[:Y_LEFT], self.root_z_variance = tips * believed_tips, root * believed_root
 
     def learn(self, innovation: Floats, covariance: Floats) -> None:
         """Take the innovations of the last second.

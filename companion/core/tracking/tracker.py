@@ -22,7 +22,7 @@ from companion.core.tracking.model import DiscreteWingModel, WingParameters, bui
 from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.readaptation import NewParameters, readapt
-from companion.core.tracking.rigid_body import MeasurementBuilder, RareGates, join
+from companion.core.tracking.rigid_body import BEFORE, MeasurementBuilder, RareGates, join
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
 from companion.core.tracking.spread_work import SPREAD_S, SpreadWork, Stages
@@ -210,7 +210,7 @@ class WingTracker:
                 if idle and self._step_s * sum(each.length for each in self._trial_epochs) > _TRIAL_S:
                     self._mark()  # there was no fit, for want of samples or for a blow, and the epochs must not pile up
         for stream in self._streams:
-            stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
+            stream.forget(self._next_ns - BEFORE * self._step_ns - 50_000_000)
 
     def _lost(self, steps: int) -> bool:
         """Whether the filter has run away, or has contradicted its sensors for too long to recover."""
@@ -235,14 +235,14 @@ class WingTracker:
         if alike(model.parameters, self._kalman.model.parameters):
             return None
         tried = self._trial_filter.fork(model)
-        tried.take_noise(noise.variance, noise.root_y_variance)
+        tried.take_noise(noise)
         return tried
 
     def _take(self, new: NewParameters) -> None:
         """Take new parameters unless they make the measurements inconsistent."""
         self._readaptation = None
         self._row_noise = new.row_noise
-        self._kalman.take_noise(new.row_noise.variance, new.row_noise.root_y_variance)
+        self._kalman.take_noise(new.row_noise)
         model = new.model
         if new.tried is not None:
             if remaining := self._trial_epochs[new.segments :]:
@@ -274,7 +274,7 @@ class WingTracker:
         kalman = SeparatedBiasFilter(
             self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep
         )
-        kalman.take_noise(noise.variance, noise.root_y_variance)
+        kalman.take_noise(noise)
         return kalman
 
     # ------------------------------------------------------------------------------------------ out

@@ -20,6 +20,7 @@ from companion.core.tracking.error_jacobians import (
     _TAU,
     _Y,
     _Z,
+    AVERAGED,
     EARLIER,
 )
 from companion.core.tracking.states import ROWS
@@ -42,6 +43,7 @@ class SensedMotion(NamedTuple):
         Root specific force and its derivative, body rate and its derivative.
     levers_m : (2, 3) float64
         From root to tips.
+    root_present : (n,) bool
     """
 
     step_s: float
@@ -55,6 +57,7 @@ class SensedMotion(NamedTuple):
     omega: Floats
     omega_dot: Floats
     levers_m: Floats
+    root_present: Bools
 
 
 def central_difference(values: Floats, step_s: float, present: Bools) -> Floats:
@@ -110,7 +113,7 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     tip, rate = motion.tip[:, side], motion.d_tip[:, side]
     y, z, p = tip[:, 1], tip[:, 2], tip[:, 3]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
-    rigid, omega = _earlier(motion.rigid[:, side]), _earlier(motion.omega)
+    rigid, omega = (_mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
     vertical, lateral, roll = _Z + side, _Y + side, _P + side
     scaled_y, scaled_z = _with_earlier_rigid(motion, side, 1), _with_earlier_rigid(motion, side, 2)
     _set_column(out, vertical, columns[_KZ], scaled_z)
@@ -129,16 +132,14 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
 
 
 def _with_earlier_rigid(motion: SensedMotion, side: int, axis: int) -> Floats:
-    """Specific force of a tip whose rigid part is that of some epochs earlier, (n,).
+    """Specific force of a tip whose rigid part is the mean of some epochs before, (n,).
 
     The filter takes the innovation of the row, tip less rigid force, out of the regressor. The root's noise, which is
     in that innovation, must then be in the regressor too, or the innovation is regressed on its own root noise: slope
     factors grew and lateral and roll rate scales shrank by 2 % together.
     """
     tip, rigid = motion.tip[:, side, axis], motion.rigid[:, side, axis]
-    out = tip.copy()
-    out[EARLIER:] += rigid[:-EARLIER] - rigid[EARLIER:]
-    return out
+    return np.asarray(tip + _mean_before(rigid[:, None], motion.root_present)[:, 0] - rigid)
 
 
 def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
@@ -148,10 +149,8 @@ def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
     state's roll rate is as noisy as 3 rad/s^2 of roll acceleration allow, which few aircraft have: on that noise,
     which the innovations are full of, no scale may be regressed.
     """
-    p = motion.omega[:, 0]
-    out = np.zeros(len(p))
-    out[EARLIER:] = p[:-EARLIER] - p[EARLIER:]
-    return out
+    p = motion.omega[:, :1]
+    return np.asarray((_mean_before(p, motion.root_present) - p)[:, 0])
 
 
 def _root_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, columns: Ints) -> None:
@@ -183,10 +182,16 @@ def _root_biases(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     _set_column(out, lateral, columns[_BR], (2.0 * aside * r - below * q) * gain)
 
 
-def _earlier(values: Floats) -> Floats:
-    """Values (n, 3) of :data:`EARLIER` epochs earlier."""
+def _mean_before(values: Floats, root_present: Bools) -> Floats:
+    """Mean of values (n, c) over :data:`AVERAGED` epochs that end :data:`EARLIER` before each, those with a root.
+
+    The values themselves where the root was in none of them.
+    """
     out = values.copy()
-    out[EARLIER:] = values[:-EARLIER]
+    for k in range(len(values)):
+        past = slice(max(k - EARLIER - AVERAGED + 1, 0), max(k - EARLIER + 1, 0))
+        if root_present[past].any():
+            out[k] = values[past][root_present[past]].mean(axis=0)
     return out
 
 

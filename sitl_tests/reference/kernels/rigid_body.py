@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import Epochs
-from companion.core.tracking.rigid_body import _BEFORE, _PADDING, _RootNoise
+from companion.core.tracking.rigid_body import _PADDING, BEFORE, _RootNoise
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.core.tracking.streams import CHANNELS, EpochAverages, StreamSamples
 from companion.records import Bools, Floats, Ints
@@ -53,8 +53,8 @@ def build_epochs(
     error_columns: Ints,
     parameter_count: int,
 ) -> Epochs:
-    """Epochs with ``_BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
-    edges_ns = first_ns + step_ns * np.arange(-_BEFORE, count + _PADDING + 1)
+    """Epochs with ``BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
+    edges_ns = first_ns + step_ns * np.arange(-BEFORE, count + _PADDING + 1)
     at_root, at_left, at_right = averages(root, edges_ns), averages(left, edges_ns), averages(right, edges_ns)
     steady = _steady(at_root, noise.mps2_rthz, step_ns * 1e-9)
     averaged = _Averaged(
@@ -163,7 +163,18 @@ def _motion(averaged: _Averaged) -> SensedMotion:
             if not averaged.sends[1 + side, axis]:
                 tip[:, side, axis] = rigid[:, side, axis] if axis < _ROLL else omega[:, axis - _ROLL]
     return SensedMotion(
-        step_s, tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, omega_dot, averaged.levers_m
+        step_s,
+        tip,
+        averaged.moment,
+        d_tip,
+        rigid,
+        d_rigid_z,
+        f_root,
+        d_root,
+        omega,
+        omega_dot,
+        averaged.levers_m,
+        averaged.covered[0],
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,8 @@ Complexes = npt.NDArray[np.complex128]
 EDGE = 8  # chosen: half length of the smooth derivative, epochs
 # rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
 _SMOOTH = np.hanning(2 * EDGE + 1)[1:-1]
+VIBRATION_HZ = 20.0
+"""Propulsion shakes sensors above it (chosen: half of a shaft's 2,400 rpm; below, a wing shakes by gusts)."""
 DERIVATIVE = np.convolve(_SMOOTH / _SMOOTH.sum(), [0.5, 0.0, -0.5])
 """Smooth derivative over ``2 EDGE + 1`` epochs, per step."""
 
@@ -53,6 +55,8 @@ class NoiseSpectrum:
         Of the drifting biases at 1 Hz; it falls with the square of the frequency.
     step_s : float
         ``h``.
+    tips_ratio, root_ratio : float
+        By how much ``white`` and ``root`` are louder by vibration, above :data:`VIBRATION_HZ`.
     """
 
     white: float
@@ -62,13 +66,20 @@ class NoiseSpectrum:
     aliasing: float
     drift: float
     step_s: float
+    tips_ratio: float = 1.0
+    root_ratio: float = 1.0
+
+    def louder(self, tips: float, root: float) -> NoiseSpectrum:
+        """The spectrum with so many times the density of tips' and root's sensors above :data:`VIBRATION_HZ`."""
+        return replace(self, tips_ratio=tips, root_ratio=root)
 
     def __call__(self, frequency_hz: Floats) -> Floats:
         """Density at these frequencies, (n,) (m/s^2)^2/Hz."""
-        density = np.full(len(frequency_hz), self.white)
+        shaken = 1.0 / (1.0 + (VIBRATION_HZ / frequency_hz) ** 4)
+        density = self.white * (1.0 + (self.tips_ratio - 1.0) * shaken)
         if self.root:
             root_gain = np.abs(1.0 - self.bend.per_load_s2 * self.bend.reading(frequency_hz)) ** 2
-            density += self.root * root_gain
+            density += self.root * (1.0 + (self.root_ratio - 1.0) * shaken) * root_gain
         if self.roll:
             density += self.roll * _derivative_power_gain(frequency_hz, self.step_s)
         density += self.drift / frequency_hz**2

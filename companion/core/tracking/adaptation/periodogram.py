@@ -52,6 +52,10 @@ class Periodogram(NamedTuple):
     low_bins: int
     low_grid: int
 
+    def with_noise(self, noise_density: Callable[[Floats], Floats]) -> Periodogram:
+        """The same power beside another density of noise."""
+        return self._replace(noise_density=noise_density(np.sqrt(self.grid.exact.square)))
+
 
 def make_periodogram(
     samples: Floats, step_s: float, band_hz: tuple[float, float, float], noise_density: Callable[[Floats], Floats]

@@ -7,6 +7,7 @@ result does not depend on when its stages run.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,9 @@ _FURTHER_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its par
 _PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
 _MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
+_NOISE_STEPS = (8.0, 2.0, 0.5)  # chosen, of density: noise many times the belief shows where twice it does not
+_NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
+_NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
@@ -120,7 +124,13 @@ class SpectralFit:
     def _fit_family(self, inputs: FitInput, which: tuple[int, ...]) -> Stages[list[ModeParameters]]:
         """Parameters of one family, or of both where only one tip is present."""
         estimates = (inputs.parameters, inputs.aliasing_noise, inputs.bend_per_g_m)
-        samples, noise_spectrum = self._channels.channel(inputs.rows, which, inputs.single_tip or 0, *estimates)
+        samples, believed = self._channels.channel(inputs.rows, which, inputs.single_tip or 0, *estimates)
+        noise_ratio, tips_ratio = inputs.parameters[which[0]].noise_ratio, inputs.parameters[1].noise_ratio
+
+        def louder(ratio: float) -> NoiseSpectrum:
+            return believed.louder(tips_ratio if which == (0,) else ratio, ratio)
+
+        noise_spectrum = louder(noise_ratio)
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([inputs.parameters[k].log_params() for k in which])
         band = self._band(which)
@@ -141,12 +151,15 @@ class SpectralFit:
         if inputs.elapsed_s > _SCAN_UNTIL_S and self.fits % 2 == which[0]:
             best = self._retried(inputs, long, prior, best)
             yield
+        has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
+        if has_turn:
+            long, best, noise_ratio = yield from _with_noise(louder, noise_ratio, long, prior, best)
         best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
         by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
         log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
         log_sigma = np.hypot(best.log_sigma, by_rate)
         slow_hz = [inputs.parameters[k].slow_corner_hz for k in which]
-        if inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]:  # later the families take turns
+        if has_turn:
             yield
             rates = self._channels.slope_rates(inputs.rows, which)
             new_hz = [slow_corner_hz(long, prior, best.log_params, int(first), rates) for first in prior.places.first]
@@ -154,7 +167,7 @@ class SpectralFit:
             begun = inputs.elapsed_s > EARLY_S > length_s
             slow_hz = [min(old, new) if begun else new for old, new in zip(slow_hz, new_hz, strict=True)]
         return [
-            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow)
+            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow, noise_ratio)
             for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
         ]
 
@@ -248,6 +261,29 @@ def _join(families: list[ModeParameters]) -> LogNormalPrior:
     lowest[frequency] = np.minimum(lowest[frequency], mean[frequency] - _MAX_LOG_DRIFT)
     highest[frequency] = np.maximum(highest[frequency], mean[frequency] + _MAX_LOG_DRIFT)
     return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]), index)
+
+
+def _with_noise(
+    louder: Callable[[float], NoiseSpectrum],
+    ratio: float,
+    periodogram: Periodogram,
+    prior: LogNormalPrior,
+    best: WhittleFit,
+) -> Stages[tuple[Periodogram, WhittleFit, float]]:
+    """Periodogram, fit and ratio with other noise than that of ``ratio``, where it explains clearly more.
+
+    No sensor is taken for better than its file says.
+    """
+    for factor in _NOISE_STEPS:
+        if factor * ratio < 1.0:
+            continue
+        other_periodogram = periodogram.with_noise(louder(factor * ratio))
+        other = fit(other_periodogram, prior, best.log_params, 3)
+        before, after = 0.5 * (np.log([ratio, factor * ratio]) / _NOISE_SIGMA) ** 2
+        if other.neg_log_posterior + after < best.neg_log_posterior + before - _NOISE_GAIN:
+            periodogram, best, ratio = other_periodogram, other, factor * ratio
+        yield
+    return periodogram, best, ratio
 
 
 def _with_corners(start: Floats, index: ParameterIndex, corners_hz: tuple[float, float]) -> Floats:
