@@ -77,6 +77,30 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
         assert np.isfinite(z).all()
 
 
+def test_a_drifting_clock_beside_strong_kicks_is_standard_normal_by_chance() -> None:
+    """Three kicks are no matter of chance: what they tell of a clock adds to what a minute of gust tells."""
+    kicks = {"at1_s": 4.0, "at2_s": 15.0, "at3_s": 26.0} | {
+        f"{what}{k}_mps": size for what, size in (("symmetric", 3.0), ("antisymmetric", 1.2)) for k in (1, 2, 3)
+    }
+    term = EffectTerm(catalogue()["impulsive-forcing"].from_values(kicks))
+    later = next(kind() for kind in generic_effects() if kind.name == "right side ever later")
+    strengths, told = [], []
+    for seed in range(40, 48):
+        calm = drawn(seed)
+        forced = calm.expect(np.zeros(len(calm.belief.nuisances)), (term,)).motion.forced_mps2
+        assert forced is not None
+        model = model_of(calm.observations.up_mps2 + calm.transforms.in_time(forced).T)
+        screened = [
+            screen([each], fit([each], terms), [EffectTerm(later)]) for each, terms in ((model, [term]), (calm, []))
+        ]
+        strengths.append(screened[0].candidates[0].z)
+        told.append([float(entry.candidates[0].information[0, 0]) for entry in screened])
+    # z^2 of 8: a mean square of 1 with standard deviation 0.5
+    assert np.mean(np.square(strengths)) < 2.5
+    kicked, unkicked = np.mean(told, axis=0)
+    assert kicked > 2.0 * unkicked
+
+
 @pytest.mark.parametrize("late", [Side.LEFT, Side.RIGHT])
 def test_a_late_stream_is_screened_from_its_own_side(late: Side) -> None:
     """The first step leads to the side that is late, by as much; the other side's half of the effect counts nothing."""
