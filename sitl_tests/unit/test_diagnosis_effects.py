@@ -166,3 +166,13 @@ def test_a_fast_second_mode_takes_hold_of_a_friction() -> None:
         slope = float(force[0] @ speed[0]) / float(speed[0] @ speed[0])
         assert slope == pytest.approx(-0.3 * np.sqrt(2.0 / np.pi) / np.hypot(0.2, dither), rel=0.02)
         assert not np.any(force[second])
+
+
+@pytest.mark.parametrize("softness_s2", [0.0, 1.8e-5])
+def test_a_mount_never_shakes_its_camera_by_itself(softness_s2: float) -> None:
+    """However negative its damper: phases lag about its resonance of 37 Hz, where some loss is left."""
+    kind = catalogue()["mount-resonance"]
+    view = viewed([kind.from_values({"softness_s2": softness_s2, "damper_s": -1e-3})], Side.LEFT, 0.0)
+    followed = view.follows(2.0 * np.pi * np.linspace(30.0, 80.0, 4000))
+    assert np.all(followed.imag <= 0.0)
+    assert np.abs(followed).max() < 150.0
