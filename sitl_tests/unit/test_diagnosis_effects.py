@@ -148,3 +148,31 @@ def test_what_samples_show_is_not_seen_in_good_ones(kind: type[Effect]) -> None:
     force = -9.81 + rng.normal(0.0, 2.0, len(t_s))
     assert kind.sample_defect(t_s, force, load_airframe("nadir-2m").left) is None
     assert not kind.clipped(force).any()
+
+
+def test_a_fast_second_mode_takes_hold_of_a_friction() -> None:
+    """Of Gaussian speeds the mean slope of a dry friction is c sqrt(2 / pi) over the rms of the whole tip's speed."""
+    model = WingModel(load_airframe("nadir-2m").wing)
+    second = next(k for k, slot in enumerate(model.structure.slots) if slot == 2)
+    rng = np.random.default_rng(12)
+    speed = np.zeros((model.count, 200_000))
+    speed[0] = 0.2 * rng.standard_normal(speed.shape[1])
+    friction = catalogue()["coulomb-friction"].from_values({"friction_mps2": 0.3})
+    for dither in (0.0, 0.2):
+        speed[second] = dither * rng.standard_normal(speed.shape[1])
+        state = ModalMotion(np.arange(200_000.0), 0.0 * speed, speed, np.zeros((model.count, 1)), 1.0, model.structure)
+        force = friction.force(state)
+        assert force is not None
+        slope = float(force[0] @ speed[0]) / float(speed[0] @ speed[0])
+        assert slope == pytest.approx(-0.3 * np.sqrt(2.0 / np.pi) / np.hypot(0.2, dither), rel=0.02)
+        assert not np.any(force[second])
+
+
+@pytest.mark.parametrize("softness_s2", [0.0, 1.8e-5])
+def test_a_mount_never_shakes_its_camera_by_itself(softness_s2: float) -> None:
+    """However negative its damper: phases lag about its resonance of 37 Hz, where some loss is left."""
+    kind = catalogue()["mount-resonance"]
+    view = viewed([kind.from_values({"softness_s2": softness_s2, "damper_s": -1e-3})], Side.LEFT, 0.0)
+    followed = view.follows(2.0 * np.pi * np.linspace(30.0, 80.0, 4000))
+    assert np.all(followed.imag <= 0.0)
+    assert np.abs(followed).max() < 150.0

@@ -11,7 +11,7 @@ import pytest
 
 from companion.diagnosis.data.observations import Observations, RawRecording, RawStream
 from companion.diagnosis.data.resampling import observe
-from companion.diagnosis.data.rigid_motion import bending_load, rolled_together_hz, tip_axes_corrected
+from companion.diagnosis.data.rigid_motion import bending_load, roll_share, tip_axes_corrected
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.flight_models import belief_for, top_of
 from companion.params.airframe import Airframe, Uncertain
@@ -150,14 +150,45 @@ def test_what_the_fuselage_recoils_is_no_load_on_the_wing() -> None:
     assert left[INSIDE] == pytest.approx(1.0 + 0.3 * slow[INSIDE], abs=0.01)
 
 
-@pytest.mark.parametrize("rolls", [True, False])
-def test_a_roll_that_tips_and_gyro_share_is_followed_as_far_as_they_do(airframe: Airframe, rolls: bool) -> None:
-    """Antisymmetric bending up to 30 Hz rolls a light fuselage; a heavy one leaves the gyro its noise."""
+def rolling(recoil: float, other: float, noise_radps: float = 1e-3) -> tuple[Floats, Floats]:
+    """Gyro's roll (m,) and the tips' specific force (m, 2).
+
+    Bending up to 30 Hz, of which the gyro shows ``recoil`` (1/m), and an antisymmetric motion of the size ``other``
+    that turns no fuselage.
+    """
     rng = np.random.default_rng(8)
-    spectrum = np.fft.rfft(rng.standard_normal(len(T_S)))
-    spectrum[np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ) > 30.0] = 0.0
-    bent = np.fft.irfft(spectrum, len(T_S))
-    rate = 1e-4 * rng.standard_normal(len(T_S)) + (0.01 * np.cumsum(bent) / RATE_HZ * 50.0 if rolls else 0.0)
+    spectrum = np.fft.rfft(rng.standard_normal((2, len(T_S))), axis=1)
+    spectrum[:, np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ) > 30.0] = 0.0
+    bent, still = np.fft.irfft(spectrum, len(T_S), axis=1)
+    rate = noise_radps * rng.standard_normal(len(T_S)) + recoil * np.cumsum(bent) / RATE_HZ
+    tips = bent + other * still
+    return rate, np.stack([-tips, tips], 1)
+
+
+def share_of(airframe: Airframe, rate: Floats, tips: Floats) -> Callable[[float, float], Floats]:
+    """Share of the gyro's roll that is taken out between two frequencies."""
     bare = dataclasses.replace(airframe, root=dataclasses.replace(airframe.root, lowpass_gyro_hz=0.0))
-    top_hz = rolled_together_hz({"p": (T_S, rate)}, T_S, RATE_HZ, bare, np.stack([-bent, bent], 1))
-    assert top_hz == pytest.approx(30.0, abs=3.0) if rolls else top_hz == 16.0
+    share, f_hz = roll_share({"p": (T_S, rate)}, T_S, RATE_HZ, bare, tips), np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ)
+    return lambda low_hz, top_hz: np.asarray(share[(f_hz > low_hz) & (f_hz < top_hz)])
+
+
+@pytest.mark.parametrize("other", [0.0, 3.0])
+def test_a_roll_above_the_gyros_noise_is_taken_out_whole(airframe: Airframe, other: float) -> None:
+    """Antisymmetric bending up to 30 Hz rolls a light fuselage, whatever else the tips show there."""
+    share = share_of(airframe, *rolling(1.0, other))
+    assert np.all(share(0.0, 28.0) > 0.9)
+    assert np.all(share(35.0, 400.0) < 0.5)
+    assert np.mean(share(35.0, 400.0)) < 0.15
+
+
+def test_of_a_fuselage_that_no_wing_rolls_only_manoeuvres_are_taken_out(airframe: Airframe) -> None:
+    share = share_of(airframe, *rolling(0.0, 1.0))
+    assert np.all(share(0.0, 6.0) == 1.0)
+    assert np.mean(share(16.0, 400.0)) < 0.15
+
+
+def test_a_gyro_that_shakes_on_its_mount_shakes_no_tip(airframe: Airframe) -> None:
+    shake = 2.0 * math.pi * 22.0
+    rate, tips = rolling(0.0, 1.0)
+    rate += np.random.default_rng(9).standard_normal(len(T_S)) * 0.1 * np.sin(shake * T_S)
+    assert np.mean(share_of(airframe, rate, tips)(18.0, 30.0)) < 0.15

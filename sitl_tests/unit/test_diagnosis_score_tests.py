@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from companion.diagnosis.selection import score_tests
 
@@ -45,3 +46,20 @@ def test_an_imitation_lies_between_the_correlation_and_one() -> None:
     screening = score_tests.ranked(tested, columns.T @ rng.standard_normal(40), columns.T @ columns)
     assert np.all(screening.imitation >= np.abs(screening.correlation) - 1e-9)
     assert np.all(screening.imitation <= 1.0 + 1e-9)
+
+
+def test_the_best_of_several_places_pays_for_their_number() -> None:
+    """Three places with scores of 4, 5 and 1 sigma: a chance three times as large as that of one place with 5."""
+    information, score = 1e6 * np.eye(3), 1e3 * np.array([4.0, 5.0, 1.0])
+    places = [score_tests.Tested(_Named("scanned"), np.ones(1)) for _ in range(3)]
+    (best,) = score_tests.ranked(places, score, information).candidates
+    (alone,) = score_tests.ranked(places[:1], score[1:2], information[:1, :1]).candidates
+    assert [norm.sf(entry.z) for entry in (best, alone)] == pytest.approx([3.0 * norm.sf(5.0), norm.sf(5.0)], rel=0.01)
+    assert alone.log_odds - best.log_odds == pytest.approx(np.log(3.0))
+
+
+def test_two_sides_of_one_term_are_one_place() -> None:
+    information, score = 1e6 * np.eye(2), 1e3 * np.array([5.0, -5.0])
+    sides = [score_tests.Tested(_Named("hinged"), np.ones(1), side, True) for side in (1.0, -1.0)]
+    (best,) = score_tests.ranked(sides, score, information).candidates
+    assert best.z == pytest.approx(5.0, abs=0.01)

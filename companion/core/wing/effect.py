@@ -155,6 +155,8 @@ class Effect:
     frequency). A first parameter cannot be one: those before the first of them are what is screened."""
     follows_channel: ClassVar[bool] = False
     """Whether it needs a recorded channel."""
+    hilly: ClassVar[bool] = False
+    """Whether a fit may end on a lesser hill, so that it is begun at every place of ``scan``."""
     one_way: ClassVar[bool] = False
     """Whether nature has it with a positive first parameter only (friction is never negative)."""
     hinged: ClassVar[bool] = False
@@ -312,13 +314,14 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
 
 
 def on_halves(motion: ModalMotion, law: Callable[[Floats, Floats], Floats]) -> Floats:
-    """Apply a force law to each wing half's first-mode deflection and speed, and give its modal loads.
+    """Apply a force law to each tip's deflection and speed, and give its loads on the first modes.
 
-    With w = s - a on the left and s + a on the right the loads are the mean and the half difference. A wing with a
-    single mode is one half.
+    With w = s - a on the left and s + a on the right the loads are the mean and the half difference. Second modes
+    hardly bend the tips but move them fast: to the first ones a friction is the weaker for it, as under any dither.
     """
-    loads = np.stack([law(w, v) for w, v in zip(halves(motion.offset_m), halves(motion.qdot_mps), strict=True)])
-    return from_halves(motion, loads)
+    lift = motion.structure.lift
+    tips = [np.tensordot(lift, modal, 1) for modal in (motion.offset_m, motion.qdot_mps)]
+    return from_halves(motion, np.stack([law(w, v) for w, v in zip(*tips, strict=True)]))
 
 
 def halves(modal: Floats) -> Floats:

@@ -24,7 +24,7 @@ from companion.diagnosis.data.observations import (
 from companion.diagnosis.data.rigid_motion import (
     bending_load,
     lateral_force,
-    rolled_together_hz,
+    roll_share,
     rotation_forces,
     tip_axes_corrected,
     undo_lowpass,
@@ -245,8 +245,8 @@ def _against_rigid(
 ) -> tuple[Floats, Floats]:
     """Tips (m, c) in the aircraft's axes without what its turning adds, and that, (m, c)."""
     sides, upright = sorted(raw.tips), tips.copy()
-    rolled_hz = rolled_together_hz(raw.rigid, t_s, rate_hz, airframe, tips)
-    felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides, rolled_hz)
+    rolled = roll_share(raw.rigid, t_s, rate_hz, airframe, tips)
+    felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides, rolled)
     lateral = lateral_force(raw.rigid, t_s, rate_hz, airframe)
     for i, side in enumerate(sides):
         recorded = raw.tips[side].force_y_mps2

@@ -18,7 +18,8 @@ _Channels = Mapping[str, tuple[Floats, Floats]]
 _HARDLY = 0.02  # power share that a filter lets through, below which it is not undone
 _LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn
 _BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7  # of the first mode: above, the fuselage recoils from the wing that bends
-_COHERENT = 0.5  # with more than half of the power in common, taking the roll out leaves less
+_COHERENT, _SLIGHT = 0.5, 0.25  # of power in common, and of the tips' power, where a roll is theirs or does no harm
+_UPPER_END = 0.7  # of a gyro's band, from which it shows its noise
 _WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0  # manoeuvres are slower, and the noise of a gyro's derivative grows with frequency
 
 
@@ -30,29 +31,54 @@ def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
     return _filtered(values, passed.conj() * (1.0 + _HARDLY) / (np.abs(passed) ** 2 + _HARDLY))
 
 
-def manoeuvre_band(values: Floats, rate_hz: float, top_hz: float = _NOTHING_HZ) -> Floats:
-    """Keep of a rate what manoeuvres can be, or more: it fades out up to ``top_hz``."""
-    return _faded(values, rate_hz, _WHOLE_HZ / _NOTHING_HZ * top_hz, top_hz)
+def roll_share(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, tips: Floats) -> Floats:
+    """Share of the gyro's roll that is taken out of the tips (m, c), at each frequency of a transform, (m // 2 + 1,).
 
-
-def rolled_together_hz(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, tips: Floats) -> float:
-    """The frequency up to which the tips (m, c) show the roll that the gyro shows, Hz.
-
-    A fuselage that is not heavy rolls against a wing that bends antisymmetrically, and that is part of the mode: it is
-    taken out like a manoeuvre's, as far as it stands above the gyro's noise. By coherence in bands of 1 Hz.
+    A fuselage that is not heavy rolls against a wing that bends antisymmetrically, and that is part of every such mode:
+    it is taken out like a manoeuvre's, as far as it stands above the gyro's noise (Wiener's gain, in bands of 1 Hz).
+    What the gyro shows beyond a quarter of the tips' power, without coherence with them, is vibration of its mount.
     """
-    if "p" not in rigid:
-        return _NOTHING_HZ
-    rate = undo_lowpass(np.interp(t_s, *rigid["p"]), rate_hz, airframe.root.lowpass_gyro_hz)
-    shown = tips[:, -1] - tips[:, 0] if tips.shape[1] > 1 else tips[:, 0]
+    f_hz = np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz))
+    manoeuvre = _fade(f_hz, _WHOLE_HZ, _NOTHING_HZ)
     width = int(len(t_s) / rate_hz)  # bins of 1 Hz
-    spectra = [np.fft.rfft(values * np.hanning(len(values))) for values in (rate - rate.mean(), shown - shown.mean())]
-    bands = min(len(spectra[0]) // max(width, 1), int(0.25 * rate_hz))
-    first, second = (entry[: bands * width].reshape(bands, width) for entry in spectra)
-    shared = np.abs(np.sum(first * second.conj(), axis=1)) ** 2
-    coherence = shared / np.maximum(np.sum(np.abs(first) ** 2, axis=1) * np.sum(np.abs(second) ** 2, axis=1), 1e-300)
-    apart = np.flatnonzero(coherence < _COHERENT)
-    return max(_NOTHING_HZ, float(apart[apart >= int(_NOTHING_HZ)][0] if np.any(apart >= int(_NOTHING_HZ)) else bands))
+    bands = len(f_hz) // max(width, 1)
+    if "p" not in rigid or bands < 1:
+        return manoeuvre
+    recorded = np.interp(t_s, *rigid["p"])
+    places = [(airframe.left, airframe.right)[side].position_m[1] for side in Side]
+    arm_m = places[1] - places[0] if tips.shape[1] > 1 else max(places)
+    shown = tips[:, -1] - tips[:, 0] if tips.shape[1] > 1 else tips[:, 0]
+    first, second = (_in_bands(values, bands, width) for values in (recorded, shown))
+    power, power_shown = (np.mean(np.abs(entry) ** 2, axis=1) for entry in (first, second))
+    centre_hz = f_hz[: bands * width].reshape(bands, width).mean(1)
+    noise = _gyro_noise(rigid["p"], airframe) * 0.5 * rate_hz
+    removed = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
+    coherence = np.abs(np.mean(first * second.conj(), axis=1)) ** 2 / np.maximum(power * power_shown, 1e-300)
+    passed = np.abs(_gyro_response(centre_hz, airframe)) ** 2
+    felt = (2.0 * np.pi * centre_hz * arm_m) ** 2 * power / np.maximum(passed, _HARDLY)
+    removed[(coherence < _COHERENT) & (felt > _SLIGHT * power_shown)] = 0.0
+    return np.asarray(np.maximum(manoeuvre, np.interp(f_hz, centre_hz, removed)))
+
+
+def _in_bands(values: Floats, bands: int, width: int) -> Complexes:
+    """Windowed transform of unit mean square gain, (bands, width)."""
+    window = np.hanning(len(values))
+    spectrum = np.fft.rfft((values - values.mean()) * window) / np.sqrt(np.sum(window**2))
+    return np.asarray(spectrum[: bands * width].reshape(bands, width))
+
+
+def _gyro_noise(channel: tuple[Floats, Floats], airframe: Airframe) -> float:
+    """One-sided density of a gyro's noise: of the data sheet, or of the recording's upper end where that has more."""
+    t_s, values = channel
+    power = np.abs(_in_bands(values, 1, len(values) // 2 + 1)[0]) ** 2
+    upper = power[int(_UPPER_END * len(power)) :]
+    floor = float(np.median(upper)) / np.log(2.0) * 2.0 * float(np.median(np.diff(t_s)))
+    return float(max(floor, airframe.root.gyro_noise_radps_rthz**2))
+
+
+def _gyro_response(f_hz: Floats, airframe: Airframe) -> Complexes:
+    corner_hz = airframe.root.lowpass_gyro_hz
+    return Butterworth2(corner_hz).response(f_hz) if corner_hz else np.ones(len(f_hz), dtype=np.complex128)
 
 
 def bending_load(load_factor: Floats, rate_hz: float, first_hz: float) -> Floats:
@@ -70,14 +96,15 @@ def rotation_forces(
     rate_hz: float,
     airframe: Airframe,
     sides: Sequence[Side],
-    top_hz: float = _NOTHING_HZ,
+    rolled: Floats | None = None,
 ) -> Floats:
-    """Specific force that the aircraft's turning adds at tips, (c, 3, m), m/s^2, up to ``top_hz``."""
+    """Specific force that the aircraft's turning adds at tips, (c, 3, m), m/s^2; ``rolled`` by :func:`roll_share`."""
     rates = np.zeros((3, len(t_s)))
+    manoeuvre = _fade(np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz)), _WHOLE_HZ, _NOTHING_HZ)
     for row, letter in enumerate("pqr"):
         if letter in rigid:
-            recorded = np.interp(t_s, *rigid[letter])
-            rates[row] = manoeuvre_band(undo_lowpass(recorded, rate_hz, airframe.root.lowpass_gyro_hz), rate_hz, top_hz)
+            recorded = undo_lowpass(np.interp(t_s, *rigid[letter]), rate_hz, airframe.root.lowpass_gyro_hz)
+            rates[row] = _filtered(recorded, manoeuvre if rolled is None or letter != "p" else rolled)
     tips = [(airframe.left, airframe.right)[side].position_m for side in sides]
     arms = [np.subtract(tip, airframe.root.position_m) for tip in tips]
     return np.stack([rotation_force(rates, rate_hz, arm) for arm in arms])
@@ -87,7 +114,8 @@ def lateral_force(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airfr
     """The root's lateral specific force, (m,)."""
     if "y" not in rigid:
         return None
-    return manoeuvre_band(undo_lowpass(np.interp(t_s, *rigid["y"]), rate_hz, airframe.root.lowpass_accel_hz), rate_hz)
+    recorded = undo_lowpass(np.interp(t_s, *rigid["y"]), rate_hz, airframe.root.lowpass_accel_hz)
+    return _faded(recorded, rate_hz, _WHOLE_HZ, _NOTHING_HZ)
 
 
 def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats:
@@ -116,9 +144,12 @@ def tip_axes_corrected(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Flo
 
 
 def _faded(values: Floats, rate_hz: float, whole_hz: float, nothing_hz: float) -> Floats:
-    f_hz = np.fft.rfftfreq(len(values), 1.0 / rate_hz)
-    fade = np.clip((nothing_hz - f_hz) / (nothing_hz - whole_hz), 0.0, 1.0)
-    return _filtered(values, 0.5 - 0.5 * np.cos(np.pi * fade))
+    return _filtered(values, _fade(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)), whole_hz, nothing_hz))
+
+
+def _fade(f_hz: Floats, whole_hz: float, nothing_hz: float) -> Floats:
+    left = np.clip((nothing_hz - f_hz) / (nothing_hz - whole_hz), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * left))
 
 
 def _filtered(values: Floats, gain: Floats | Complexes) -> Floats:

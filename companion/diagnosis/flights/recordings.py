@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,7 @@ from companion.diagnosis.selection.score_tests import Candidate, Screening
 
 _QUIET_DB = 3.0  # above the noise, below which nothing is told
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
+_STRONG = 2.0  # prior sigmas, of an effect that is begun at every place
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3  # scoring steps: of a refit, of one that goes on, of a fit, of a fold
 _GUARD_S = 0.5  # at either edge of a block: some periods of the first mode
 _BLOCK_S = 6.0  # shortest that holds exposures between its guards
@@ -81,13 +83,24 @@ class Flights(Recordings[EffectTerm, FlightState]):
     def refit(
         self, fitted: FlightFit, candidate: Candidate[EffectTerm]
     ) -> tuple[Candidate[EffectTerm], FlightFit] | None:
-        """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
+        """Refit with one effect more; from each place of a hilly one, if the best by its score is worth anything."""
         trial = best_trial(self._models, fitted, candidate.term)
         offered = candidate if trial is None else dataclasses.replace(candidate, term=trial.term)
         first = (offered.term,) if is_trial(offered.term) else ()
-        for term in (*first, *(perturbed_start(offered, step, _FIRST_STEPS[0]) for step in _FIRST_STEPS)):
+        smaller = (perturbed_start(offered, step, _FIRST_STEPS[0]) for step in _FIRST_STEPS)
+        reached = self._begun(fitted, itertools.chain(first, smaller))
+        if reached is None:
+            return None
+        if type(offered.term.effect).hilly and reached.log_evidence > fitted.log_evidence:
+            others = (self._begun(fitted, [term]) for term in _strong_at_each_place(offered.term))
+            reached = max((reached, *(other for other in others if other)), key=lambda entry: entry.log_evidence)
+        return offered, reached
+
+    def _begun(self, fitted: FlightFit, starts: Iterable[EffectTerm]) -> FlightFit | None:
+        """A few steps with an effect, from the first of some starts that is physical."""
+        for term in starts:
             try:
-                return offered, fit(self._models, (*fitted.terms, term), fitted.values, _AT_FIRST)
+                return fit(self._models, (*fitted.terms, term), fitted.values, _AT_FIRST)
             except UNPHYSICAL:
                 continue
         return None
@@ -135,6 +148,16 @@ class Flights(Recordings[EffectTerm, FlightState]):
     def foretells(self, term: EffectTerm) -> bool:
         """False of impulses, of which no block foretells another's."""
         return not term.effect.transient
+
+
+def _strong_at_each_place(term: EffectTerm) -> list[EffectTerm]:
+    """A strong effect at each place of its scan."""
+    declared, scan = term.effect.parameters(), type(term.effect).scan
+    values = {entry.name: float(getattr(term.effect, entry.name)) for entry in declared}
+    values[declared[0].name] = _STRONG * declared[0].sigma
+    return [
+        term.with_values(values | dict(zip(scan, place, strict=True))) for place in itertools.product(*scan.values())
+    ]
 
 
 @dataclass(frozen=True, slots=True)

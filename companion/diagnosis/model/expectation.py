@@ -53,6 +53,10 @@ class Motion(Protocol):
         """Score by a force on each mode, (n, f)."""
 
     @property
+    def forced_mps2(self) -> Complexes | None:
+        """Spectrum of what forces make of the accelerations, (c, f); None where there are none."""
+
+    @property
     def in_time(self) -> tuple[Floats, Floats]:
         """Smoothed modal deflection and speed, (n, m) each."""
 

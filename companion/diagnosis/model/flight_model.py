@@ -184,11 +184,16 @@ class FlightModel:
         ]
         return np.outer(late, np.ones(len(self.observations.t_s))) if any(late) else None
 
-    def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
-        """Change of the rigid aircraft's motion by shifts in time (c, m), tapered and in the band, (c, b)."""
-        if self._rigid is None:
+    def certain_shifted(self, expectation: Expectation, shift_s: Floats) -> Complexes | None:
+        """Change of the rigid aircraft's and the forced motion by shifts in time (c, m), in the band, (c, b)."""
+        forced = expectation.motion.forced_mps2
+        if self._rigid is None and forced is None:
             return None
-        rate = 2j * np.pi * self.transforms.f_hz[: self._rigid[0].shape[-1]] * (self._rigid[0] + self._rigid[1])
+        # a sensor that is late shows the tip as it was, and so the wing against a root that is not late
+        late = np.zeros_like(expectation.motion.linear.sensing[:, 0]) if forced is None else -forced
+        if self._rigid is not None:
+            late = late + self._rigid[0] + self._rigid[1]
+        rate = 2j * np.pi * self.transforms.f_hz[: late.shape[-1]] * late
         return self.in_band(self.transforms.in_time(rate) * shift_s)
 
     def _motion(

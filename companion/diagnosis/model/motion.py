@@ -168,6 +168,11 @@ class SmoothedMotion:
         """Smoothed modal deflection and speed, (n, m) each."""
         return self._smoothed(self.smoother)
 
+    @property
+    def forced_mps2(self) -> Complexes | None:
+        """Spectrum of what forces and measured loads make of the accelerations, (c, f); None where there are none."""
+        return None if self._push is None else apply(self.linear.sensing, self._forced())
+
     def _modal(self, smoother: Complexes) -> Complexes:
         within = self._within(smoother)
         return within if self._push is None else within + self._forced()
@@ -181,9 +186,8 @@ class SmoothedMotion:
 
     def _unforced_mps2(self) -> Floats:
         """Accelerations without what nonlinear sensors, nonlinear forces and measured loads make of them, (c, m)."""
-        if self._push is None:
-            return self._up_mps2
-        return self._up_mps2 - self._transforms.in_time(apply(self.linear.sensing, self._forced()))
+        forced = self.forced_mps2
+        return self._up_mps2 if forced is None else self._up_mps2 - self._transforms.in_time(forced)
 
     def _forced(self) -> Complexes:
         assert self._push is not None

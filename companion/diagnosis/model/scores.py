@@ -27,8 +27,8 @@ class ScoredRecording(Protocol):
     weight: float
     band_hz: Floats
 
-    def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
-        """Change of the rigid aircraft's motion by shifts in time (c, m), in the band, (c, b)."""
+    def certain_shifted(self, expectation: Expectation, shift_s: Floats) -> Complexes | None:
+        """Change by shifts in time (c, m) of what the channels show by no chance, in the band, (c, b)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,18 +126,19 @@ def _add_warps(
     With S the spectral matrix, shifts of channels c and d by a and b are worth
     2 weight omega^2 (S^-1_cd S_dc - [c = d]) times the mean of a b: only what both sides agree on shows a shift. A warp
     of the samples is a change of the mean, a constant delay one of the spectrum; their columns have no product, but a
-    warp's constant part is a delay. What is late of the rigid aircraft's motion is no matter of chance: it stays.
+    warp's constant part is a delay. What is late of the rigid aircraft's motion, and of what forces make of the wing's,
+    is no matter of chance: it stays. Three impulses tell a clock more than a minute of gust.
     """
     shifts = [(i, entry.shift_s, entry.warps) for i, entry in enumerate(columns) if entry.shift_s is not None]
     if not any(warps for _, _, warps in shifts):
         return
     agreed = 2.0 * model.weight * np.sum((2.0 * np.pi * model.band_hz) ** 2 * _agreement(expectation), axis=2)
-    rigid = {i: _whitened(expectation, model.rigid_shifted(shift)) for i, shift, _ in shifts}
+    certain = {i: _whitened(expectation, model.certain_shifted(expectation, shift)) for i, shift, _ in shifts}
     for i, first, warps_i in shifts:
         for j, second, warps_j in shifts:
             if warps_i or warps_j:
                 expected = float(np.sum(agreed * (first @ second.T))) / first.shape[1]
-                by_chance = _product(columns[i].mean, columns[j].mean) - _product(rigid[i], rigid[j])
+                by_chance = _product(columns[i].mean, columns[j].mean) - _product(certain[i], certain[j])
                 information[i, j] += expected - 2.0 * model.weight * by_chance
 
 

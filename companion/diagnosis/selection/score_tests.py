@@ -7,6 +7,8 @@ recording can tell them apart.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
@@ -121,13 +123,18 @@ def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) 
 
 
 def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) -> Screening[TermT]:
-    """Candidates by strength; a term that was tried at several places or sides counts with its strongest."""
+    """Candidates by strength; a term that was tried at several places or sides counts with its strongest, and pays.
+
+    A tail that one place has by chance is N times as likely at the best of N places.
+    """
     unit = np.concatenate([entry.sigmas for entry in tested]) if tested else np.zeros(0)
     score, information = score * unit, information * np.outer(unit, unit)
     scored, at = [], 0
+    places = Counter((move.term.name, move.term.channel) for move in tested if move.side > 0.0)
     for move in tested:
         block = slice(at, at + len(move.sigmas))
-        scored.append((_candidate(move, score[block], information[block, block]), block))
+        log_trials = move.term.log_trials + math.log(places[move.term.name, move.term.channel])
+        scored.append((_candidate(move, score[block], information[block, block], log_trials), block))
         at += len(move.sigmas)
     best: dict[tuple[str, str], tuple[Candidate[TermT], slice]] = {}
     for entry in scored:
@@ -154,7 +161,7 @@ def _imitated(directions: Floats, information: Floats, block: slice) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", common, inverse, common), 0.0)))
 
 
-def _candidate(tested: Tested[TermT], score: Floats, information: Floats) -> Candidate[TermT]:
+def _candidate(tested: Tested[TermT], score: Floats, information: Floats, log_trials: float) -> Candidate[TermT]:
     """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
     term, sigmas = tested.term, tested.sigmas
     values, vectors = np.linalg.eigh(information)
@@ -166,8 +173,8 @@ def _candidate(tested: Tested[TermT], score: Floats, information: Floats) -> Can
     power = float(np.sum(along**2 / (values[telling] + 1.0)))
     # directions that the prior already knows better count for nothing
     freedom = max(int(np.sum(values > 0.1)), 1)
-    z = normal_score(min(float(chi2.logsf(power, freedom)) + term.log_trials, 0.0))
-    odds = 0.5 * power - term.log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
+    z = normal_score(min(float(chi2.logsf(power, freedom)) + log_trials, 0.0))
+    odds = 0.5 * power - log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas

@@ -9,11 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.core.wing.effect import MOUNT_DAMPING, CameraView, Effect, Group, parameter
 from companion.records import Side
 
 _LOWEST_HZ, _HIGHEST_HZ = 8.0, 80.0
 _APART = 0.01  # of a frequency: a quarter of the width of a peak with 2 % damping
+_LOSSLESS = 1.5  # of the damping ratio that is assumed: three quarters of the loss, at most, may not be there
 _ABOVE = 1.5  # times the first mode: below, it would ring with the wing
 
 
@@ -32,7 +33,10 @@ class MountResonance(Effect):
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
         """Follow as an oscillator."""
         del side, t_s
-        softness_s2, damper_s = view.softness_s2 + self.softness_s2, view.damper_s + self.damper_s
+        softness_s2 = view.softness_s2 + self.softness_s2
+        # a mount that shook its camera by itself would turn phases the other way: some loss is left to it
+        least_s = -_LOSSLESS * MOUNT_DAMPING * math.sqrt(max(self.softness_s2, 0.0))
+        damper_s = view.damper_s + max(self.damper_s, least_s)
         return dataclasses.replace(view, softness_s2=softness_s2, damper_s=damper_s)
 
     @classmethod
