@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from companion.core.tracking.model import stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.core.tracking.tracker import WingTracker
@@ -21,6 +22,7 @@ GOOD = {
     "saturated": False,
     "settled": True,
     "nis": 1.0,
+    "deflection_sigmas": 3.0,
     "rms_m": np.array([0.004, 0.001]),
     "calm_rms_m": 0.0002,
     "ambiguous": False,
@@ -29,6 +31,7 @@ WORSE = [
     (Validity.STALE, {"stale": True}),
     (Validity.SATURATED, {"saturated": True}),
     (Validity.INCONSISTENT, {"nis": 3.1}),
+    (Validity.INCONSISTENT, {"deflection_sigmas": 6.1}),
     (Validity.SETTLING, {"settled": False}),
     (Validity.CALM, {"rms_m": np.array([0.00011, 0.00011]), "calm_rms_m": 0.0002}),
     (Validity.AMBIGUOUS, {"ambiguous": True}),
@@ -73,6 +76,22 @@ def test_calm_is_judged_by_both_modes_together() -> None:
     assert (
         classify_validity(**(GOOD | {"rms_m": single}), parameters=_with_frequency_sigma((0.01, 0.01))) is Validity.CALM
     )
+
+
+def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -> None:
+    """Vertical axes alone contradict no load, however large, that holds a wing still where it is."""
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    t, values = swinging(3.4, 0.004)
+    for station, v in values.items():
+        tracker.add(batch(station, t, v))
+    assert tracker.advance(EPOCH_NS + 3400 * MS) is not None
+    kalman, activity = tracker._kalman, tracker._activity
+    assert activity.deflection_sigmas < 3.0
+    q = kalman.layout.families[1].q
+    sigma_m = math.sqrt(stationary(kalman.layout, kalman.noise, kalman.model)[q, q])
+    kalman.state_and_sensitivity[q, 0] += 7.0 * sigma_m - kalman.state[q]
+    activity.update(kalman, 1, kalman.model.step_s)
+    assert activity.deflection_sigmas == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])

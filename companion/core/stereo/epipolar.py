@@ -221,12 +221,14 @@ class EpipolarFilter:
             passed_s * mean[TURN_RATE],
             mean[BASELINE] + mean[SHIFT],
         )
+        if not innovation.is_enough:
+            return answer, False
         updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend)
         if updated is None:
             used_ns = self._flow_used_ns
             if used_ns is not None:
                 return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
-            if not innovation.is_enough or self.lens_ratio > _MOST_DOUBT:
+            if self.lens_ratio > _MOST_DOUBT:
                 return answer, False
             self.lens_ratio *= _DOUBT
             return replace(answer, covariance=_DOUBT * answer.covariance), False

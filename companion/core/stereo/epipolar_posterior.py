@@ -158,7 +158,7 @@ def with_flow(
     answer : Posterior
         Given the pair's matches, and about whose mean ``flow`` was predicted.
     flow : FlowInnovation
-        About that mean.
+        About that mean; of enough features.
     passed_s : float
         Time between the exposures.
     turn_covariance : (3, 3) float64
@@ -166,8 +166,6 @@ def with_flow(
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
-    if not flow.is_enough:
-        return None
     finite, add_up = flow.finite, rotation_rows(bend)
     design = np.zeros((len(finite), ALL_STATES + 3))
     design[:, :ALL_STATES] = flow.rotation @ add_up

@@ -14,6 +14,7 @@ range to 1.4 % at any distance, whatever the lenses' residuals make of a yaw.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,6 +105,14 @@ class FlightBetween:
     turn_covariance: Floats
 
 
+class _LeftCamera(NamedTuple):
+    """Motion of the left camera: rotations (3, 3) as named, and its path (3,) in the axes of the earlier exposure."""
+
+    earlier_from_body: Floats
+    body_from_later: Floats
+    path_m: Floats
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowView:
     """Features of a pair that were tracked into an earlier left image, and what predicts their places there.
@@ -168,42 +177,28 @@ class FlowView:
             Error of the baseline's direction, y and z: places of the cameras against each other.
         """
         inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens, baseline)
-        half = self._half_turn(rotation_rad)
         left, per_term = left_terms(lens)
         quarter = np.rint(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
         bent_earlier, bent_later = left_fields(self.earlier, quarter), left_fields(self.later, quarter)
         earlier, later = (self.earlier - bent_earlier @ left)[:, :2], self.later - bent_later @ left
-        earlier_from_body = self.earlier_pose.camera_from_body @ half
-        body_from_epipolar = self.epipolar_from_body.T
-        turned = exp_rotation(body_from_epipolar @ turn_rad) @ exp_rotation(self.between.turn_rad)
-        moved_m = self.between.moved_m + self.between.passed_s * (body_from_epipolar @ velocity_mps)
-        body_from_later = turned @ (self.later_pose.camera_from_body @ half).T
-        in_body = later @ body_from_later.T
-        shift_m = turned @ self.later_pose.position_body_m + moved_m - self.earlier_pose.position_body_m
-        path_m, direction_at_infinity = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
+        moved = self._moved(rotation_rad, velocity_mps, turn_rad)
+        in_body = later @ moved.body_from_later.T
+        at_infinity = in_body @ moved.earlier_from_body.T
 
-        slopes, project = _projected(direction_at_infinity + inverse_pm[:, np.newaxis] * path_m)
-        residual, per_inverse = earlier - slopes, project @ path_m
+        slopes, project = _projected(at_infinity + inverse_pm[:, np.newaxis] * moved.path_m)
+        residual, per_inverse = earlier - slopes, project @ moved.path_m
         place_variance, depth_variance = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
         # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
         # noise would be in rows and residual alike, and feign a velocity.
         depth_correction_pm = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (place_variance + depth_variance)
         adjusted_pm = inverse_pm + depth_correction_pm
-        _, project = _projected(direction_at_infinity + adjusted_pm[:, np.newaxis] * path_m)
-        per_inverse = project @ path_m
-        direction_per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
-        path_per_velocity_s = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
-        per_left = bent_earlier[:, :2] - project @ (earlier_from_body @ body_from_later) @ bent_later
+        _, project = _projected(at_infinity + adjusted_pm[:, np.newaxis] * moved.path_m)
+        per_inverse = project @ moved.path_m
+        per_left = bent_earlier[:, :2] - project @ (moved.earlier_from_body @ moved.body_from_later) @ bent_later
         per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
         per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_left @ per_term
-        columns = np.concatenate(
-            [
-                per_depth,
-                project @ direction_per_turn.transpose(0, 2, 1),
-                project @ path_per_velocity_s * adjusted_pm[:, np.newaxis, np.newaxis],
-            ],
-            axis=2,
-        )
+        columns = np.concatenate([per_depth, self._per_motion(moved, in_body, project, adjusted_pm)], axis=2)
+
         # axes of each feature: along its image path, where depth noise counts too, and across it
         along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
         axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
@@ -213,6 +208,24 @@ class FlowView:
             np.sqrt(np.stack([place_variance + depth_variance, place_variance], axis=1)).ravel(),
             *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3]), axis=1),
         )
+
+    def _moved(self, rotation_rad: Floats, velocity_mps: Floats, turn_rad: Floats) -> _LeftCamera:
+        """The left camera's motion with half of a relative rotation, and errors of velocity and turn, epipolar axes."""
+        half = self._half_turn(rotation_rad)
+        body_from_epipolar = self.epipolar_from_body.T
+        turned = exp_rotation(body_from_epipolar @ turn_rad) @ exp_rotation(self.between.turn_rad)
+        moved_m = self.between.moved_m + self.between.passed_s * (body_from_epipolar @ velocity_mps)
+        shift_m = turned @ self.later_pose.position_body_m + moved_m - self.earlier_pose.position_body_m
+        earlier_from_body = self.earlier_pose.camera_from_body @ half
+        body_from_later = turned @ (self.later_pose.camera_from_body @ half).T
+        return _LeftCamera(earlier_from_body, body_from_later, earlier_from_body @ shift_m)
+
+    def _per_motion(self, moved: _LeftCamera, in_body: Floats, project: Floats, inverse_pm: Floats) -> Floats:
+        """Change (m, 2, 6) of the predicted places by the body's turn and by its velocity, epipolar axes."""
+        per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ moved.earlier_from_body.T
+        path_per_velocity_s = self.between.passed_s * (moved.earlier_from_body @ self.epipolar_from_body.T)
+        per_velocity = project @ path_per_velocity_s * inverse_pm[:, np.newaxis, np.newaxis]
+        return np.concatenate([project @ per_turn.transpose(0, 2, 1), per_velocity], axis=2)
 
     def _inverse_depths(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> tuple[Floats, Floats, Floats]:
         """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 14) per state."""

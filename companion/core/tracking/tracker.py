@@ -277,8 +277,6 @@ class WingTracker:
         kalman.take_noise(noise)
         return kalman
 
-    # ------------------------------------------------------------------------------------------ out
-
     @property
     def newest_ns(self) -> int:
         """The newest processed instant."""
@@ -325,6 +323,7 @@ class WingTracker:
             saturated=any(self._next_ns - saturated_ns < _SATURATION_HOLD_NS for saturated_ns in recent),
             settled=self._activity.settled,
             nis=self._kalman.nis,
+            deflection_sigmas=self._activity.deflection_sigmas,
             rms_m=self._activity.rms_m(),
             calm_rms_m=self._settings.calm_rms_m,
             parameters=self._adaptation.parameters,

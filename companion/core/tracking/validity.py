@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.model import DiscreteWingModel
+from companion.core.tracking.model import DiscreteWingModel, stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
 from companion.core.tracking.states import StateLayout
 from companion.native.library import ARRAY, INTEGER, kernel
@@ -20,6 +20,9 @@ _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
+# chosen, of the deflection by gusts as fitted: a state that a lost line drove to ten stays there, for vertical axes
+# contradict no slow load that holds it
+_MOST_SIGMAS = 6.0
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 DISTRUST = {
     Validity.STALE: Reject.STALE,
@@ -41,10 +44,15 @@ class ModalActivity:
         Time since the tracker began, or since it was last without sensors.
     learned : bool
         The parameters have been learned, once.
+    deflection_sigmas : float
+        Deflection of a family's first mode from its static bend, over its sigma in the gusts as fitted; the larger one.
     """
 
     def __init__(self, layout: StateLayout) -> None:
         self._rate_states = np.array([family.v for family in layout.families])
+        self._deflections = np.array([family.q for family in layout.families])
+        self._deflection_sigma_m: Floats = np.ones(2)
+        self.deflection_sigmas = 0.0
         self._model: DiscreteWingModel | None = None
         self._stiffness: Floats = np.ones(2)  # of its modes: circular frequencies squared
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
@@ -60,6 +68,10 @@ class ModalActivity:
         if kalman.model is not self._model:
             omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
             self._model, self._stiffness = kalman.model, omega**2
+            variance = np.diag(stationary(kalman.layout, kalman.noise, kalman.model))
+            self._deflection_sigma_m = np.sqrt(variance[self._deflections])
+        deflection_m = kalman.state[self._deflections] - np.array([kalman.static_m, 0.0])
+        self.deflection_sigmas = float(np.abs(deflection_m / self._deflection_sigma_m).max())
         squares = rate_squares(
             kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
         )
@@ -107,6 +119,7 @@ def classify_validity(
     saturated: bool,
     settled: bool,
     nis: float,
+    deflection_sigmas: float,
     rms_m: Floats,
     calm_rms_m: float,
     parameters: tuple[ModeParameters, ModeParameters],
@@ -117,7 +130,7 @@ def classify_validity(
         return Validity.STALE
     if saturated:
         return Validity.SATURATED
-    if nis > NIS_LIMIT:
+    if nis > NIS_LIMIT or deflection_sigmas > _MOST_SIGMAS:
         return Validity.INCONSISTENT
     if not settled:
         return Validity.SETTLING
