@@ -147,7 +147,7 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, consi
 def with_flow(
     answer: Posterior, flow: FlowInnovation, passed_s: float, turn_covariance: Floats, bend: BendBelief
 ) -> Posterior | None:
-    """The answer updated by the flow since an earlier pair; None where that contradicts it.
+    """The answer updated by the flow since an earlier pair; None where that contradicts it, or is of too few.
 
     The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
     constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis and
@@ -158,7 +158,7 @@ def with_flow(
     answer : Posterior
         Given the pair's matches, and about whose mean ``flow`` was predicted.
     flow : FlowInnovation
-        About that mean; of enough features.
+        About that mean.
     passed_s : float
         Time between the exposures.
     turn_covariance : (3, 3) float64
@@ -166,6 +166,8 @@ def with_flow(
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
+    if not flow.is_enough:
+        return None
     finite, add_up = flow.finite, rotation_rows(bend)
     design = np.zeros((len(finite), ALL_STATES + 3))
     design[:, :ALL_STATES] = flow.rotation @ add_up

@@ -89,8 +89,6 @@ class WingTracker:
         if self._start_ns is not None:
             self._start_ns = self._next_ns
 
-    # ------------------------------------------------------------------------------------------ in
-
     def add(self, batch: ImuBatch) -> list[Rejected]:
         """Take inertial samples; refusals with their reasons.
 
