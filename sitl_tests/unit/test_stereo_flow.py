@@ -214,6 +214,17 @@ def test_doubt_of_the_calibration_ends_and_needs_features() -> None:
     assert 50.0 < filtered.lens_ratio < 300.0
 
 
+def test_few_features_are_no_contradiction_after_a_flow_that_agreed() -> None:
+    """Right after a flow that was used, a wrong velocity is a contradiction, and a flow without features is not."""
+    filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
+    _, contradicts = filtered._flown(_before(1e-5), _view(), NO_BEND, 0)
+    assert not contradicts
+    wrong = _view(faster_mps=8.0)
+    few = dataclasses.replace(wrong, earlier=np.full_like(wrong.earlier, np.nan))
+    assert filtered._flown(_before(1e-5), wrong, NO_BEND, 100_000_000)[1]
+    assert not filtered._flown(_before(1e-5), few, NO_BEND, 100_000_000)[1]
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_derivatives_by_turn_and_velocity_are_those_of_differences(axis: int) -> None:
     """The analytic rows are what a small change of turn and path makes of the prediction."""
