@@ -201,10 +201,10 @@ static void mean_before(const double *values, int64_t width, const motion *m, in
         out[c] = count ? out[c] / (double)count : values[k * width + c];
 }
 
-/* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is that of some epochs
- * earlier: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
+/* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is the mean of some epochs
+ * before: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
- * the root had it some epochs earlier: the tip's own axes carry vibration that is coherent with the row's. */
+ * the root had it in the mean of those epochs: the tip's own axes carry vibration that is coherent with the row's. */
 static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;

@@ -36,8 +36,8 @@ def error_columns(layout: StateLayout) -> Ints:
 def measured_regressors(layout: StateLayout) -> list[tuple[int, int, int, float]]:
     """Row, column, source row and sign of the sensitivities that contain the measurement of a source row.
 
-    A tip's roll rate contains the rigid one, measured by the root: the regressor has the root's of some epochs earlier
-    in its place (``scaled_p`` of ``tip_errors`` in ``native/epochs.c``).
+    A tip's roll rate contains the rigid one, measured by the root: the regressor has the root's mean of some epochs
+    before in its place (``scaled_p`` of ``tip_errors`` in ``native/epochs.c``).
     """
     regressors: list[tuple[int, int, int, float]] = []
     for side, place in ((0, "left"), (1, "right")):

@@ -10,9 +10,9 @@ row is seen beside a root whose noise both rows share, and a rate's beside the r
 With the right R, ``u`` is white: beside its variance C_0 stands C_0 - C_1, C_1 its autocovariance at one step, and the
 smaller of both counts. What contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed)
 makes C_1 as large as C_0: it is not learned as noise and stays a contradiction. Vibration above the wing's band makes
-C_1 negative, and its variance is C_0. Medians stand for means, for blows and lies. The vertical rows are not learned:
-what they feel is the gust's, and its spectrum is fitted. A source that is hidden behind others by far is learned where
-innovations show it beyond what a load that is fitted a little wrong could.
+C_1 negative, and its variance is C_0. Medians stand for means, for blows and lies. The vertical rows tell nothing so:
+what they feel is the gust's, and the fit of its spectrum gives their noise. A source that is hidden behind others by
+far is learned where innovations show it beyond what a load that is fitted a little wrong could.
 """
 
 from __future__ import annotations

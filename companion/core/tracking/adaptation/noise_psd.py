@@ -11,11 +11,11 @@ from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
 
+VIBRATION_HZ = 20.0
+"""Propulsion shakes sensors above it (chosen: half of a shaft's 2,400 rpm; below, a wing shakes by gusts)."""
 EDGE = 8  # chosen: half length of the smooth derivative, epochs
 # rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
 _SMOOTH = np.hanning(2 * EDGE + 1)[1:-1]
-VIBRATION_HZ = 20.0
-"""Propulsion shakes sensors above it (chosen: half of a shaft's 2,400 rpm; below, a wing shakes by gusts)."""
 DERIVATIVE = np.convolve(_SMOOTH / _SMOOTH.sum(), [0.5, 0.0, -0.5])
 """Smooth derivative over ``2 EDGE + 1`` epochs, per step."""
 
