@@ -90,8 +90,13 @@ def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -
     q = kalman.layout.families[1].q
     sigma_m = math.sqrt(stationary(kalman.layout, kalman.noise, kalman.model)[q, q])
     kalman.state_and_sensitivity[q, 0] += 7.0 * sigma_m - kalman.state[q]
-    activity.update(kalman, 1, kalman.model.step_s)
+    second = round(1.0 / kalman.model.step_s)
+    activity.update(kalman, second, kalman.model.step_s)
     assert activity.deflection_sigmas == pytest.approx(7.0)
+    for side in (1.0, -1.0):  # a vibration ten times as large has no mean
+        kalman.state_and_sensitivity[q, 0] += side * 70.0 * sigma_m - kalman.state[q]
+        activity.update(kalman, second // 14, kalman.model.step_s)
+    assert activity.deflection_sigmas < 7.0
 
 
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])

@@ -20,8 +20,8 @@ _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
-# chosen, of the deflection by gusts as fitted: a state that a lost line drove to ten stays there, for vertical axes
-# contradict no slow load that holds it
+# chosen, of the slow deflection by gusts as fitted: a state that a lost line drove to ten stays there, for vertical
+# axes contradict no slow load that holds it
 _MOST_SIGMAS = 6.0
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 DISTRUST = {
@@ -45,13 +45,15 @@ class ModalActivity:
     learned : bool
         The parameters have been learned, once.
     deflection_sigmas : float
-        Deflection of a family's first mode from its static bend, over its sigma in the gusts as fitted; the larger one.
+        Mean deflection of a family's first mode from its static bend over the last second, over the deflection's sigma
+        in the gusts as fitted; the larger one. A vibration, however strong, has no mean.
     """
 
     def __init__(self, layout: StateLayout) -> None:
         self._rate_states = np.array([family.v for family in layout.families])
         self._deflections = np.array([family.q for family in layout.families])
         self._deflection_sigma_m: Floats = np.ones(2)
+        self._slow_m: Floats = np.zeros(2)
         self.deflection_sigmas = 0.0
         self._model: DiscreteWingModel | None = None
         self._stiffness: Floats = np.ones(2)  # of its modes: circular frequencies squared
@@ -71,7 +73,8 @@ class ModalActivity:
             variance = np.diag(stationary(kalman.layout, kalman.noise, kalman.model))
             self._deflection_sigma_m = np.sqrt(variance[self._deflections])
         deflection_m = kalman.state[self._deflections] - np.array([kalman.static_m, 0.0])
-        self.deflection_sigmas = float(np.abs(deflection_m / self._deflection_sigma_m).max())
+        self._slow_m = self._slow_m + min(count * step_s / _BLOCK_S, 1.0) * (deflection_m - self._slow_m)
+        self.deflection_sigmas = float(np.abs(self._slow_m / self._deflection_sigma_m).max())
         squares = rate_squares(
             kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
         )
