@@ -20,6 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.adapters.triggers.process import TriggerLink, line_pair
 from companion.adapters.triggers.wire import Realtime, pack_report
 from companion.params.files import load_airframe
+from companion.params.persist import load_stored
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, MatchSet, Shot, Side, TriggerPlan
 from companion.service import wiring
@@ -101,12 +102,16 @@ class Deaf:
 
 @pytest.mark.realtime
 @pytest.mark.slow
-def test_a_live_change_survives_the_death_of_the_inertial_process(service: Service, port: int) -> None:
+def test_a_live_change_survives_the_death_of_the_inertial_process(service: Service, port: int, tmp_path: Path) -> None:
     vehicle = Vehicle(port)
     told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
     assert told.param_value == Settings().trigger_rate_hz
     vehicle.until("PARAM_VALUE", lambda m: m.param_value == 7.5, 30.0, lambda: vehicle.set("TRG_RATE", 7.5))
-    time.sleep(0.5)  # until it is stored
+    files = [folder / "parameters" for folder in (tmp_path, Path(service._scratch.name))]
+    ends_s = time.monotonic() + 30.0
+    while not any(load_stored(file).values.get("TRG_RATE") == 7.5 for file in files):
+        assert time.monotonic() < ends_s, "the change was not stored"
+        time.sleep(0.02)
     (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
     assert worker.process is not None
     assert worker.process.pid is not None
