@@ -13,7 +13,7 @@ from companion.core.stereo.geometry import Rig
 from companion.params.files import load_airframe
 from companion.records import ClockName, MatchSet
 from companion.units import GRAVITY_MPS2
-from tools.bench.world import missed, pooled, summary
+from tools.bench.world import Pooled, missed, pooled, show, summary
 from tools.bench.world_flight import fly
 from tools.bench.world_peers import pair_alone, tilt_filter
 from tools.bench.world_rows import ACCIDENTS, ON_GROUND, CampaignRow, rows
@@ -102,10 +102,25 @@ def test_every_world_airframe_and_set_of_axes_has_a_row_and_every_row_its_folder
     everything = rows()
     assert len({row.key for row in everything}) == len(everything)
     for world in ("ideal", "fair", "rough", "tones"):
-        assert len([row for row in rows(world) if not row.accident.name]) == 4
+        assert len([row for row in rows(world) if not row.accident.name and not row.reference]) == 4
     for sensors in ("6-axis", "vertical"):
         assert {row.accident.circuit for row in rows("rough", "nadir-2m", sensors)} == {False, True}
     assert rows("fair", "nadir-2m", "vertical")[0].belief().left.sends == "z"
+
+
+def test_a_toe_noisier_than_its_reference_allows_is_a_miss() -> None:
+    row = CampaignRow("fair", "nadir-2m", "6-axis")
+    reference = dataclasses.replace(row, reference=True)
+    assert reference in rows("fair")
+
+    def group(of: CampaignRow, error_rad: float) -> Pooled:
+        return pooled(of, [part([shot(15.0 + 0.2 * k, toe=(-1) ** k * error_rad) for k in range(80)])])
+
+    for over, expected in ((1.1, False), (1.2, True)):
+        text, failures = show([group(row, over * 1e-4), group(reference, 1e-4)])
+        assert failures == int(expected)
+        assert ("reference" in text.splitlines()[1]) is expected
+        assert f" {over:.2f} " in text.split("above 0.5 Hz")[1]
 
 
 @pytest.mark.slow

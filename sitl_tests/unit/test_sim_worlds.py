@@ -15,7 +15,7 @@ from companion.params.airframe import Sensor
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
 from companion.sim.flight.aircraft import airspeed, circuit_plan, lift_share, still_plan
-from companion.sim.flight.flight import build_flight
+from companion.sim.flight.flight import build_flight, undisturbed
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.sensors import BACKEND_HZ, lowpassed
 from companion.sim.flight.vibration import SensorDisturbance, ShaftTurns, StationVibration, VibrationLine
@@ -110,6 +110,20 @@ def test_the_same_seed_flies_the_same_aircraft_differently_disturbed(world: Cond
         assert np.array_equal(other.backends[root].raw, plain.backends[root].raw), "its lines are at the tips alone"
     else:
         assert other.real.actual.left_camera != plain.real.actual.left_camera
+
+
+def test_undisturbed_it_is_the_same_flight_with_its_noise_stated_and_no_vibration() -> None:
+    belief = load_airframe("nadir-2m")
+    shaken_flight = build_flight(belief, 5, 4.0, world=ROUGH)
+    quiet = undisturbed(shaken_flight)
+    assert quiet.truth is shaken_flight.truth
+    assert quiet.airframe.left.accel_noise_mps2_rthz == shaken_flight.real.actual.left.accel_noise_mps2_rthz
+    assert quiet.airframe.left.accel_scale_sigma == belief.left.accel_scale_sigma, "what it does wrong stays unknown"
+    wear = dataclasses.replace(ROUGH.sensors, accel_thermal_mps2=0.0, gyro_thermal_radps=0.0)
+    calm = build_flight(belief, 5, 4.0, world=dataclasses.replace(ROUGH, propulsion=None, sensors=wear))
+    for station, stream in calm.streams().items():
+        assert np.array_equal(quiet.streams()[station].values, stream.values)
+        assert np.std((shaken_flight.streams()[station].values - stream.values)[:, 2]) > 0.2
 
 
 def test_ideal_adds_nothing() -> None:

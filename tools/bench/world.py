@@ -10,7 +10,8 @@ trusted: share of the shots with texture from 15 s in the air on, with Wilson's 
 what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe:
 error of the relative toe at the cameras over all trusted shots in the air from 15 s on, rms in mrad; NEES, and share
 inside 1, 2, 3 sigma. wrong: published ranges of the whole flight off by more than 5 sigma and 5 %, and by more than
-20 %. peers: rms above 0.5 Hz of the toe's error of the estimate and of each peer, over the same shots.
+20 %. peers: rms above 0.5 Hz of the toe's error of the estimate, of each peer over the same shots, and of the estimator
+itself on the same flights without vibration and warm-up, told the sensors' noise (the reference).
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ _LEAST_TRUSTED = {"ideal": 0.9, "fair": 0.9, "tones": 0.9, "rough": 0.5}
 _NEES = (0.8, 1.25)
 _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
+_MOST_OVER_REFERENCE = 1.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +148,10 @@ def missed(group: Pooled, figures: dict[str, float], possible: float = 1.0) -> l
     return [name for name, failed in wrong.items() if failed]
 
 
+def _conditions(row: CampaignRow) -> tuple[str, str, str]:
+    return row.world, row.airframe, row.sensors
+
+
 def _fast_mrad(group: Pooled, name: str) -> float:
     """Rms above :data:`_FAST_HZ` of one toe's error over all settled shots, flight by flight, mrad."""
     squares, count = 0.0, 0
@@ -192,13 +198,19 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
         f" {'NEES':>6s} {'1s':>4s} {'2s':>4s} {'3s':>5s} {'publ.':>6s} {'wrong':>5s} {'>20%':>4s}  misses"
     )
     lines, peers, failures = [head], [], 0
-    fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} " + " ".join(f"{name:>11s}" for name in PEERS)
+    fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} {'reference':>11s} {'ratio':>7s} "
+    fast += " ".join(f"{name:>11s}" for name in PEERS)
+    references = {_conditions(group.row): _fast_mrad(group, "toe") for group in groups if group.row.reference}
+    groups = [group for group in groups if not group.row.reference]
     figures = [summary(group) for group in groups]
     ideal = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.name == "ideal"}
     circuit = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.is_ideal_circuit}
     for group, f in zip(groups, figures, strict=True):
         possible = circuit if group.row.accident.circuit else ideal
         short = missed(group, f, possible.get(group.row.airframe, 1.0))
+        reference = math.nan if group.row.accident.name else references.get(_conditions(group.row), math.nan)
+        if f["fast toe"] > _MOST_OVER_REFERENCE * reference:
+            short.append("reference")
         failures += bool(short)
         name = f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s}"
         share = f"{100 * f['trusted']:6.1f}% {100 * f['low']:5.1f}-{100 * f['high']:5.1f}"
@@ -207,8 +219,9 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
             f"{name} {group.flights:3d} {share} {f['toe_mrad']:6.3f} {f['nees']:6.2f} {inside} {f['published']:6.0f}"
             f" {f['wrong']:5.0f} {f['far']:4.0f}  {', '.join(short)}"
         )
-        if group.row.airframe.startswith("nadir") and not group.row.accident.name:
-            peers.append(f"{name} {f['fast toe']:7.3f} " + " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS))
+        if not group.row.accident.name:
+            others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS)
+            peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {f['fast toe'] / reference:7.2f} {others}")
     lines += ["", fast, *peers, "", "why shots were withheld or refused, per flight:"]
     for group in groups:
         reasons = ", ".join(f"{reason} {count / group.flights:.0f}" for reason, count in group.reasons.most_common(6))

@@ -32,7 +32,7 @@ from companion.records import (
     Station,
     VehicleState,
 )
-from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.flight import Flight, build_flight, undisturbed
 from companion.sim.flight.offline import HOST_EPOCH_NS
 from companion.sim.flight.world_draw import log_uniform
 from companion.sim.flight.worlds import WORLDS
@@ -89,6 +89,8 @@ def _turned(camera: Camera | None, turn_rad: Floats) -> Camera:
 def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     """One flight of a row as plain values: every judged shot with its peers' toes, and what was withheld."""
     flight = build_flight(row.belief(), row.seed(number), plan=row.plan(), world=WORLDS[row.world])
+    if row.reference:
+        flight = undisturbed(flight)
     pair = StruckPair(flight, row.accident.knock_rad)
     shots = list(judged_shots(flight, pair))
     told = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]

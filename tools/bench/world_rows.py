@@ -50,17 +50,23 @@ ON_GROUND = Accident("ground roll, take-off, landing", circuit=True)
 
 @dataclass(frozen=True, slots=True)
 class CampaignRow:
-    """One row of the table; a flight's seed follows from the row and its number."""
+    """One row of the table; a flight's seed follows from the row and its number.
+
+    A ``reference`` flies as its world's row does, but without vibration and warm-up, and is told the sensors' noise.
+    """
 
     world: str
     airframe: str
     sensors: str
     accident: Accident = Accident()
+    reference: bool = False
 
     @property
     def name(self) -> str:
         """World or accident, airframe, axes."""
         what = self.accident.name or self.world
+        if self.reference:
+            return f"{what}, reference"
         return f"{what} ({self.world})" if self.accident.name and self.world != "ideal" else what
 
     @property
@@ -97,8 +103,10 @@ class CampaignRow:
 
 def rows(world: str = "", airframe: str = "", sensors: str = "") -> list[CampaignRow]:
     """All rows, or those of the given world, airframe, axes; accidents belong to the worlds in which they happen."""
-    everything = [CampaignRow(w, a, s) for w in _WORLDS for a in AIRFRAMES for s in SENSORS]
+    worlds = [CampaignRow(w, a, s) for w in _WORLDS for a in AIRFRAMES for s in SENSORS]
+    everything = list(worlds)
     everything += [CampaignRow("ideal", "nadir-2m", "6-axis", accident) for accident in ACCIDENTS]
     everything += [CampaignRow(w, a, s, ON_GROUND) for w in _WORLDS[:3] for a in AIRFRAMES for s in SENSORS]
+    everything += [dataclasses.replace(row, reference=True) for row in worlds]
     wanted = (("world", world), ("airframe", airframe), ("sensors", sensors))
     return [row for row in everything if all(getattr(row, name) == value for name, value in wanted if value)]

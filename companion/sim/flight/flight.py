@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import SLOT_NAMES
-from companion.params.airframe import Airframe, NamedEffect
+from companion.params.airframe import Airframe, NamedEffect, Sensor
 from companion.records import ClockName, Floats, Station
 from companion.sim.flight.aircraft import FlightPlan, demo_plan, fly, jolted, lift_share
 from companion.sim.flight.gust import (
@@ -171,6 +172,25 @@ def build_flight(
     ]
     backends, nodes = _sampled(sensors, real, plan.duration_s, seed)
     return Flight(airframe, real, model, truth, plan, seed, backends, nodes, world)
+
+
+def undisturbed(flight: Flight) -> Flight:
+    """The same aircraft on the same path with no vibration or warm-up, its belief told the sensors' true noise."""
+    actual, belief = flight.real.actual, flight.airframe
+    sensors = [
+        RealSensor(flight.truth, flight.model, station, actual.sensor(station), flight.real.errors[station])
+        for station in Station
+    ]
+    backends, nodes = _sampled(sensors, flight.real, flight.duration_s, flight.seed)
+    root, left, right = (_as_noisy(belief.sensor(station), actual.sensor(station)) for station in Station)
+    airframe = dataclasses.replace(belief, root=root, left=left, right=right)
+    return dataclasses.replace(flight, airframe=airframe, backends=backends, nodes=nodes)
+
+
+def _as_noisy(belief: Sensor, actual: Sensor) -> Sensor:
+    return dataclasses.replace(
+        belief, accel_noise_mps2_rthz=actual.accel_noise_mps2_rthz, gyro_noise_radps_rthz=actual.gyro_noise_radps_rthz
+    )
 
 
 def _fly(
