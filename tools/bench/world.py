@@ -10,8 +10,8 @@ trusted: share of the shots with texture from 15 s in the air on, with Wilson's 
 what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe:
 error of the relative toe at the cameras over all trusted shots in the air from 15 s on, rms in mrad; NEES, and share
 inside 1, 2, 3 sigma. wrong: published ranges of the whole flight off by more than 5 sigma and 5 %, and by more than
-20 %. peers: rms above 0.5 Hz of the toe's error of the estimate, of each peer over the same shots, and of the estimator
-itself on the same flights without vibration and warm-up, told the sensors' noise (the reference).
+20 %. peers: rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer over the same shots,
+and of the estimator itself on the same flights without vibration and warm-up, told the sensors' noise (the reference).
 """
 
 from __future__ import annotations
@@ -153,10 +153,10 @@ def _conditions(row: CampaignRow) -> tuple[str, str, str]:
 
 
 def _fast_mrad(group: Pooled, name: str) -> float:
-    """Rms above :data:`_FAST_HZ` of one toe's error over all settled shots, flight by flight, mrad."""
+    """Rms above :data:`_FAST_HZ` of one toe's error over all settled and trusted shots, flight by flight, mrad."""
     squares, count = 0.0, 0
     for k in range(group.flights):
-        mine = (group.flight == k) & group.settled & np.isfinite(group.columns[name])
+        mine = (group.flight == k) & group.settled & group.trusted & np.isfinite(group.columns[name])
         if np.sum(mine) > 10:
             error = (group.columns[name] - group.columns["true_toe"])[mine]
             fast = error - slow_part(group.columns["t_s"][mine], error, _FAST_HZ)
