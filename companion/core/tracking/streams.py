@@ -27,6 +27,11 @@ from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejec
 
 CHANNELS = 6  # specific force x y z, rate p q r
 _SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
+# chosen, of a second: fewer clipped samples are a glitch and are dropped; more are the peaks of a strong vibration, and
+# to drop them shrinks the mean more (to 0.58 of it at 12 %) than to take them as they are (to 0.88)
+_GLITCH_SHARE = 0.005
+_MOST_CLIPPED_SHARE = 0.05  # chosen, of a second: what clipping takes from a mean is then a twentieth of it
+_CLIPPED_MEMORY_S = 1.0  # chosen: as long as the NIS remembers
 _MAX_RANGE_RATIO = 1.05  # chosen: calibration may exceed the range by this much, nothing else
 _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1/6)^2), in sigmas of a sample
 
@@ -115,7 +120,9 @@ class SampleBuffer:
     newest_ns : int or None
         Stamp of the newest accepted sample.
     saturated_ns : int or None
-        Stamp of the newest sample that was refused as saturated.
+        Stamp of the newest sample that was saturated.
+    clipped_share : float
+        Share of the last second's samples that were saturated.
     filtered : bool
         Whether the source low-passes its samples.
     ring : SampleRing
@@ -128,6 +135,7 @@ class SampleBuffer:
     axes: Axis = Axis.NONE
     newest_ns: int | None = None
     saturated_ns: int | None = None
+    clipped_share: float = 0.0
     filtered: bool = field(init=False)
     ring: SampleRing = field(init=False)
     _lines: LineStates | None = None
@@ -158,12 +166,14 @@ class SampleBuffer:
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or outside the range are refused and counted.
 
-        So are outliers among earlier batches that have been recognised since.
+        So are outliers among earlier batches that have been recognised since. Saturated samples are counted, and
+        refused as long as they are few.
         """
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
         if len(t) and _valid(t, values, self.sensor, oldest_ns):
+            self._count_clipped(0, len(t))
             self._take(t, values)
             return reports
         batch, beyond = within_range(batch, self.sensor)
@@ -181,7 +191,8 @@ class SampleBuffer:
         infinite = ~np.isfinite(values).all(axis=1)
         with np.errstate(invalid="ignore"):
             full = ~infinite & ((np.abs(values) / self._range).max(axis=1, initial=0.0) > 1.0 - _SATURATION_MARGIN)
-        bad = late | infinite | full
+        self._count_clipped(int(full.sum()), len(t))
+        bad = late | infinite | (full & (self.clipped_share < _GLITCH_SHARE))
         if full.any():
             self.saturated_ns = max(int(t[full].max()), self.saturated_ns or 0)
         if bad.any():
@@ -190,6 +201,19 @@ class SampleBuffer:
             self._take(t, values)
         causes = ((Reject.NOT_FINITE, infinite), (Reject.SATURATED, full), (Reject.TOO_LATE, late & ~infinite & ~full))
         return [Rejected(why, _name(batch), batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
+
+    def _count_clipped(self, clipped: int, count: int) -> None:
+        """Carry the share of clipped samples on over a batch."""
+        if clipped or self.clipped_share:
+            weight = min(count * self._period_ns * 1e-9 / _CLIPPED_MEMORY_S, 1.0)
+            self.clipped_share += weight * (clipped / count - self.clipped_share)
+            if self.clipped_share < 1e-6:
+                self.clipped_share = 0.0
+
+    @property
+    def blinded(self) -> bool:
+        """Whether so much was clipped that means of it mislead, and no gyro tells the tilt beside them."""
+        return self.clipped_share > _MOST_CLIPPED_SHARE and not self.axes & Axis.P
 
     def _take(self, t_ns: Ints, values: Floats) -> None:
         """Queue samples until they are needed."""

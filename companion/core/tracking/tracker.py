@@ -331,7 +331,9 @@ class WingTracker:
     @property
     def distrust(self) -> Reject | None:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
-        return DISTRUST.get(self._validity) if self._body_rates and self._activity.learned else Reject.NOT_SETTLED
+        if not self._body_rates or not self._activity.learned:
+            return Reject.NOT_SETTLED
+        return Reject.SATURATED if any(s.blinded for s in self._streams) else DISTRUST.get(self._validity)
 
     @property
     def nis(self) -> float:
