@@ -27,10 +27,9 @@ from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejec
 
 CHANNELS = 6  # specific force x y z, rate p q r
 _SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
-# chosen, of a second: fewer clipped samples are a glitch and are dropped; more are the peaks of a strong vibration, and
-# to drop them shrinks the mean more (to 0.58 of it at 12 %) than to take them as they are (to 0.88)
-_GLITCH_SHARE = 0.005
-_MOST_CLIPPED_SHARE = 0.05  # chosen, of a second: what clipping takes from a mean is then a twentieth of it
+# chosen, of a second: the clipped are the peaks, and a mean without them shrinks, of a Gaussian by 4 % where 0.5 % are
+# clipped and by 42 % where 12 % are
+_MOST_CLIPPED_SHARE = 0.005
 _CLIPPED_MEMORY_S = 1.0  # chosen: as long as the NIS remembers
 _MAX_RANGE_RATIO = 1.05  # chosen: calibration may exceed the range by this much, nothing else
 _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1/6)^2), in sigmas of a sample
@@ -120,7 +119,7 @@ class SampleBuffer:
     newest_ns : int or None
         Stamp of the newest accepted sample.
     saturated_ns : int or None
-        Stamp of the newest sample that was saturated.
+        Stamp of the newest sample that was refused as saturated.
     clipped_share : float
         Share of the last second's samples that were saturated.
     filtered : bool
@@ -166,8 +165,7 @@ class SampleBuffer:
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or outside the range are refused and counted.
 
-        So are outliers among earlier batches that have been recognised since. Saturated samples are counted, and
-        refused as long as they are few.
+        So are outliers among earlier batches that have been recognised since.
         """
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
@@ -192,7 +190,7 @@ class SampleBuffer:
         with np.errstate(invalid="ignore"):
             full = ~infinite & ((np.abs(values) / self._range).max(axis=1, initial=0.0) > 1.0 - _SATURATION_MARGIN)
         self._count_clipped(int(full.sum()), len(t))
-        bad = late | infinite | (full & (self.clipped_share < _GLITCH_SHARE))
+        bad = late | infinite | full
         if full.any():
             self.saturated_ns = max(int(t[full].max()), self.saturated_ns or 0)
         if bad.any():
