@@ -133,6 +133,6 @@ def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Ch
 def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate[EffectTerm]) -> FlightFit | None:
     try:
         begun = (*base.terms, perturbed_start(candidate, _FIRST_STEP))
-        return fit(models, begun, base.values, _ROUNDS, UNPREJUDICED, values_alone=True)
+        return fit(models, begun, base, _ROUNDS, UNPREJUDICED, values_alone=True)
     except UNPHYSICAL:
         return None
