@@ -114,7 +114,10 @@ def fit(
     begun_at = likelihood.start(start.values if isinstance(start, Fit) else start)
     begun = None if near is None else likelihood.scores_beside(begun_at, near)
     fitted = climb(likelihood, terms, blocks, begun_at, rounds, likelihood.neighbour_scores, values_alone, begun)
-    return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms))
+    # a normal prior of which nature has one half only is twice as dense there
+    halves = sum(term.effect.one_way for term in terms)
+    evidence = fitted.log_evidence + halves * math.log(2.0)
+    return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms), log_evidence=evidence)
 
 
 def log_count(models: Sequence[FlightModel]) -> float:
@@ -162,10 +165,16 @@ def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple
 
 
 def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> tuple[Parameter, ...]:
-    """Entries of the whole parameter vector: nuisances, then the parameters of each term."""
+    """Entries of the whole parameter vector: nuisances, then the parameters of each term.
+
+    Strengths have ``wider`` priors; where an effect is (an instant, a frequency) is no matter of how strong it is.
+    """
     nuisances = [Parameter(entry.key, 0.0, entry.sigma) for entry in belief.nuisances]
-    declared = [entry for term in terms for entry in term.effect.parameters()]
-    return (*nuisances, *(Parameter(entry.name, entry.default, wider * entry.sigma) for entry in declared))
+    declared = [(entry, entry.name in type(term.effect).scan) for term in terms for entry in term.effect.parameters()]
+    return (
+        *nuisances,
+        *(Parameter(entry.name, entry.default, entry.sigma * (1.0 if place else wider)) for entry, place in declared),
+    )
 
 
 def derivatives(

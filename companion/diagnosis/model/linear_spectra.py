@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import Structure, slot_name, structure_of
-from companion.diagnosis.model.generic_leak import GenericLeak
+from companion.diagnosis.model.generic_sensing import GenericLeak
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side, Station
@@ -98,6 +98,20 @@ class Spectra:
             gains = np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
             self._responses = key, gains
         return self._responses[1]
+
+    def delay_s(self, effects: Sequence[Effect], deviation: Mapping[str, float], at_hz: float, t_s: Floats) -> float:
+        """Phase delay of the accelerometers at one frequency beyond their believed filters, mean of all and of time."""
+        omega, delays = 2.0 * np.pi * at_hz, []
+        for side in self.sides:
+            station, phase, late_s = STATIONS[side], 0.0, deviation.get(f"{side.name.lower()}.delay_s", 0.0)
+            for effect in effects:
+                response = effect.response(station, np.array([at_hz]))
+                if response is not None:
+                    phase += float(np.angle(response[0]))
+                elif type(effect).sample_time is not Effect.sample_time:
+                    late_s += float(np.mean(t_s - effect.sample_time(station, t_s)))
+            delays.append(late_s - phase / omega)
+        return float(np.mean(delays))
 
     def _with_memory(self, receptances: Complexes, filtered: Complexes) -> Complexes:
         """Receptance under further forces per deflection; the last few are kept, as those of structures are."""
