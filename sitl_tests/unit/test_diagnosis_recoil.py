@@ -17,7 +17,7 @@ from companion.diagnosis.model.flights import fit
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
-from companion.records import Floats
+from companion.records import Floats, Station
 from sitl_tests.trials.stranger.cases import fly_all, hide
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
@@ -103,3 +103,11 @@ def test_what_nature_has_one_way_has_half_a_prior_of_twice_the_density() -> None
     laplace = fitted.log_likelihood - fitted.neg_log_prior(range(len(fitted.values)))
     laplace -= float(np.sum(np.log(sigmas))) + 0.5 * float(np.linalg.slogdet(precision)[1])
     assert fitted.log_evidence - laplace == pytest.approx(np.log(2.0))
+
+
+def test_a_sensor_s_filter_is_stable_whatever_its_second_term() -> None:
+    """A gain that falls and turns no phase is none of a filter: it would pass for a gust that is coloured."""
+    kind, f_hz = catalogue()["sensor-filter"], np.linspace(0.0, 50.0, 11)
+    first_order = kind.from_values({"lag_s": 0.001}).response(Station.LEFT, f_hz)
+    beyond = kind.from_values({"lag_s": 0.001, "second_s2": -5e-6}).response(Station.LEFT, f_hz)
+    np.testing.assert_array_equal(beyond, first_order)
