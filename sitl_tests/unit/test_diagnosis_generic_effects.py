@@ -304,7 +304,6 @@ def test_a_slip_is_not_said_beside_a_spring_that_is_softer_throughout() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a slip at 1 mm lies 0.2 nat behind the law without a name, 2 are asked for", strict=True)
 def test_a_slip_is_not_said_of_a_spring_that_is_softer_throughout() -> None:
     without = diagnose([flown(**{"frequency-shift": -0.0727})], [catalogue()["hysteresis"]], 1)
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED

@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.grid import faded_share, fast_length
+from companion.diagnosis.data.recoil import RecoilDelay
 from companion.records import Bools, Floats, Ints, Side
 
 _FEWEST_EXPOSURES = 5  # for a likelihood
@@ -128,6 +129,8 @@ class Observations:
     notes : tuple of str
     start_s : float
         Where this part begins in its recording.
+    recoil : RecoilDelay or None
+        Delay of the tips' readings that the fuselage's recoil tells, of all of the grid.
     """
 
     rate_hz: float
@@ -150,6 +153,7 @@ class Observations:
     start_s: float = 0.0
     units: dict[str, tuple[float, float]] = field(default_factory=dict)
     bending_factor: Floats | None = None
+    recoil: RecoilDelay | None = None
 
     @property
     def wing_load_factor(self) -> Floats:
@@ -176,6 +180,7 @@ class Observations:
         return dataclasses.replace(
             self,
             up_mps2=up - up.mean(0),
+            recoil=None,
             load_factor=self.load_factor[first:last],
             bending_factor=None if self.bending_factor is None else self.bending_factor[first:last],
             covariates={name: values[first:last] for name, values in self.covariates.items()},

@@ -21,6 +21,7 @@ from companion.diagnosis.data.observations import (
     ToeData,
     clear_of_ends,
 )
+from companion.diagnosis.data.recoil import RecoilDelay, recoil_delay
 from companion.diagnosis.data.rigid_motion import (
     bending_load,
     lateral_force,
@@ -107,8 +108,10 @@ def _observed(
     sides = tuple(sorted(raw.tips))
     tips = _tips_on_grid(raw, defects, fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
+    recoil: RecoilDelay | None = None
     if raw.root:
         root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        recoil = recoil_delay(tips, root, fine_hz, airframe)
         tips, turning = _against_rigid(raw, tips, fine_t, fine_hz, airframe)
     up = root[:, None] - tips
     missing = _missing(raw, sides, fine_t)
@@ -137,6 +140,7 @@ def _observed(
         worst_defects([entry for side in sides for entry in defects[side]]),
         recorded_ratio=1.0 - float(missing.mean()),
         bending_factor=bending_load(load, rate_hz, first_hz) if raw.root else None,
+        recoil=recoil,
     )
 
 

@@ -26,6 +26,7 @@ from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, derivatives, joint_scores
 from companion.diagnosis.model.generic_effects import (
+    BOTH_LATE,
     GenericClockDrift,
     GenericClockStep,
     GenericForce,
@@ -36,7 +37,7 @@ from companion.diagnosis.model.generic_effects import (
     GenericToeVariance,
     generic_effects,
 )
-from companion.diagnosis.model.generic_leak import GenericLeak
+from companion.diagnosis.model.generic_sensing import GenericLeak
 from companion.diagnosis.model.scores import Column
 from companion.diagnosis.selection.normal_scores import (
     normal_score,
@@ -154,7 +155,9 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
     # a smooth law is not told from a staircase, which has no slope to speak of
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
     set_clocks = [kind for kind in kinds if issubclass(kind, GenericClockStep) and len(models) == 1]
-    timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericLeak, GenericClockDrift))]
+    timed = BOTH_LATE if any(model.observations.recoil is not None for model in models) else ""
+    bases = (GenericRollOff, GenericLeak, GenericClockDrift)
+    timing = [kind for kind in kinds if issubclass(kind, bases) or kind.name == timed]
     toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
     spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
     slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]

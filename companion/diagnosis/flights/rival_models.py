@@ -67,7 +67,7 @@ def strongest_rival_model(
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
     alike = screening.imitation[named_rows].max(axis=0) if named_rows else np.zeros(len(screening.candidates))
     worth, count = penalised_log_likelihood, log_count(models)
-    enough = _OUT_OF_REACH * worth(count, named_fit, null)
+    enough, nowhere = _OUT_OF_REACH * worth(count, named_fit, null), _out_of_place(named_fit)
     leading = sorted(
         (
             (candidate, float(rho))
@@ -81,11 +81,23 @@ def strongest_rival_model(
     others = [(candidate, count) for candidate, rho in leading if rho < SAME][:_REFITTED]
     twins = [(candidate, 0.0) for candidate, rho in leading if rho >= SAME][:_TWINS]
     competing_models = [
-        RivalModel(candidate.name, worth(price, fitted, null) - worth(price, named_fit, null))
+        RivalModel(candidate.name, worth(price, fitted, null) - worth(price, named_fit, null) + nowhere)
         for candidate, price in (*others, *twins, *clocks)
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
+
+
+def _out_of_place(fitted: FlightFit) -> float:
+    """Minus the log prior of where effects are: a clock that was right long before a recording is only late in it."""
+    return fitted.neg_log_prior(
+        [
+            place
+            for term, block in zip(fitted.terms, fitted.blocks, strict=True)
+            for place, entry in zip(block, term.effect.parameters(), strict=True)
+            if entry.name in type(term.effect).scan
+        ]
+    )
 
 
 def _at_nothing(term: EffectTerm) -> EffectTerm:
@@ -133,6 +145,6 @@ def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Ch
 def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate[EffectTerm]) -> FlightFit | None:
     try:
         begun = (*base.terms, perturbed_start(candidate, _FIRST_STEP))
-        return fit(models, begun, base.values, _ROUNDS, UNPREJUDICED, values_alone=True)
+        return fit(models, begun, base, _ROUNDS, UNPREJUDICED, values_alone=True)
     except UNPHYSICAL:
         return None

@@ -74,8 +74,8 @@ class Expectation:
         Covariance of the toe that the accelerations leave.
     toe_variance : (k,)
         Of the matching, and of exposures that wander.
-    rest_residual, rest_variance : (c,)
-        The sensors at rest: what is left of the mean, and its variance.
+    rest_residual, rest_variance : (c,) or (c + 1,)
+        The sensors at rest: what is left of the mean, and its variance; and so of the delay that the recoil tells.
     """
 
     motion: Motion

@@ -246,4 +246,9 @@ class FlightModel:
             mean_residual[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
         mean_sigma_mps2 = 1e-3 if self.observations.has_root else 3e-3 * GRAVITY_MPS2
-        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.observations.used_ratio)
+        variance = np.full(len(mean_residual), mean_sigma_mps2**2 / self.observations.used_ratio)
+        recoil = self.observations.recoil
+        if recoil is None:
+            return mean_residual, variance
+        delay_s = self._spectra.delay_s(effects, deviation, recoil.frequency_hz, self.observations.t_s)
+        return np.append(mean_residual, recoil.delay_s - delay_s), np.append(variance, recoil.sigma_s**2)

@@ -58,15 +58,33 @@ class FlightsLikelihood:
         """Log likelihood, gradient and information of all flights together."""
         expectations = expect(self._models, values, self._terms)
         columns = derivatives(self._models, values, self._terms, expectations, self._sigmas)
-        gradient, information = joint_scores(self._models, expectations, columns)
-        state = FlightState(expectations, tuple(tuple(entry) for entry in columns))
-        return Scores(log_likelihood(self._models, expectations), gradient, information, state)
+        return self._scored(expectations, tuple(tuple(entry) for entry in columns))
 
     def neighbour_scores(self, values: Floats, near: FlightState) -> Scores[FlightState]:
         """The same with the derivatives of a neighbouring vector, and the posterior covariance of the toe there."""
         expectations = expect(self._models, values, self._terms, near.expectations)
-        gradient, information = joint_scores(self._models, expectations, near.columns)
-        state = FlightState(expectations, near.columns)
+        return self._scored(expectations, near.columns)
+
+    def scores_beside(self, values: Floats, fitted: FlightFit) -> Scores[FlightState]:
+        """The same with the derivatives of a fit for all that this has too: another term's move them little."""
+        places = dict(zip([term.key for term in fitted.terms], fitted.blocks, strict=True))
+        lent: list[int | None] = list(range(len(self._models[0].belief.nuisances)))
+        for term in self._terms:
+            lent += places.get(term.key) or [None] * len(term.values)
+        expectations = expect(self._models, values, self._terms)
+        fresh = [place for place, other in enumerate(lent) if other is None]
+        columns = derivatives(self._models, values, self._terms, expectations, self._sigmas, fresh)
+        joined = []
+        for new, before in zip(columns, fitted.state.columns, strict=True):
+            further = iter(new)
+            joined.append(tuple(next(further) if other is None else before[other] for other in lent))
+        return self._scored(expectations, tuple(joined))
+
+    def _scored(
+        self, expectations: tuple[Expectation, ...], columns: tuple[tuple[Column, ...], ...]
+    ) -> Scores[FlightState]:
+        gradient, information = joint_scores(self._models, expectations, columns)
+        state = FlightState(expectations, columns)
         return Scores(log_likelihood(self._models, expectations), gradient, information, state)
 
 
@@ -76,25 +94,30 @@ FlightFit = Fit[EffectTerm, FlightState]
 def fit(
     models: Sequence[FlightModel],
     terms: Sequence[EffectTerm],
-    start: Floats | None = None,
+    start: Floats | FlightFit | None = None,
     rounds: int = 24,
     wider: float = 1.0,
     values_alone: bool = False,
 ) -> FlightFit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
-    Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
-    effects are made ``wider`` times as wide: for values and intervals that are the data's own. Where the
-    ``values_alone`` are wanted, evidence and covariance are rough.
+    Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief; a start that is a fit
+    of these recordings lends its derivatives too. The priors of the effects are made ``wider`` times as wide: for
+    values and intervals that are the data's own. Where the ``values_alone`` are wanted, evidence and covariance are
+    rough.
     """
     likelihood = FlightsLikelihood(models, terms, wider)
     sizes = [len(term.values) for term in terms]
     ends = np.cumsum([len(models[0].belief.nuisances), *sizes]).tolist()
     blocks = [range(end - size, end) for size, end in zip(sizes, ends[1:], strict=True)]
-    fitted = climb(
-        likelihood, terms, blocks, likelihood.start(start), rounds, likelihood.neighbour_scores, values_alone
-    )
-    return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms))
+    near = start if isinstance(start, Fit) else None
+    begun_at = likelihood.start(start.values if isinstance(start, Fit) else start)
+    begun = None if near is None else likelihood.scores_beside(begun_at, near)
+    fitted = climb(likelihood, terms, blocks, begun_at, rounds, likelihood.neighbour_scores, values_alone, begun)
+    # a normal prior of which nature has one half only is twice as dense there
+    halves = sum(term.effect.one_way for term in terms)
+    evidence = fitted.log_evidence + halves * math.log(2.0)
+    return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms), log_evidence=evidence)
 
 
 def log_count(models: Sequence[FlightModel]) -> float:
@@ -142,10 +165,16 @@ def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple
 
 
 def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> tuple[Parameter, ...]:
-    """Entries of the whole parameter vector: nuisances, then the parameters of each term."""
+    """Entries of the whole parameter vector: nuisances, then the parameters of each term.
+
+    Strengths have ``wider`` priors; where an effect is (an instant, a frequency) is no matter of how strong it is.
+    """
     nuisances = [Parameter(entry.key, 0.0, entry.sigma) for entry in belief.nuisances]
-    declared = [entry for term in terms for entry in term.effect.parameters()]
-    return (*nuisances, *(Parameter(entry.name, entry.default, wider * entry.sigma) for entry in declared))
+    declared = [(entry, entry.name in type(term.effect).scan) for term in terms for entry in term.effect.parameters()]
+    return (
+        *nuisances,
+        *(Parameter(entry.name, entry.default, entry.sigma * (1.0 if place else wider)) for entry, place in declared),
+    )
 
 
 def derivatives(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
 from companion.core.wing.structure import Structure
-from companion.diagnosis.model.generic_leak import GenericLeak
+from companion.diagnosis.model.generic_sensing import GenericLeak, GenericPhase
 from companion.records import Floats, Station
 
 _Law = Callable[[Floats, Floats], Floats]
@@ -192,20 +192,6 @@ class GenericBias(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GenericPhase(Effect):
-    """A phase of one side that grows with frequency."""
-
-    group: ClassVar[Group] = Group.SENSING
-    station: ClassVar[Station]
-
-    slope_s: float = parameter("s", 0.005, "phase per angular frequency")
-
-    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
-        """Turn it on its side."""
-        return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station is self.station else None
-
-
-@dataclass(frozen=True, slots=True)
 class GenericRollOff(Effect):
     """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
 
@@ -318,6 +304,7 @@ TOE = (
 )
 PLAY = {"little play of the mounts": 0.15, "play of the mounts": 0.3, "much play of the mounts": 0.6}
 """Deflection that a mount's play takes up, in units of its rms."""
+BOTH_LATE = "both sides late"
 SPREAD = ("deflection", "its rate", "inverse distance", "time")
 
 
@@ -346,13 +333,12 @@ def generic_effects() -> list[type[Effect]]:
         ),
         *(
             _kind(base, f"{side.name.lower()} side {what}", station=side)
-            for base, what in (
-                (GenericBias, "at rest"),
-                (GenericPhase, "phase growing with frequency"),
-                (GenericLeak, "showing the other side too"),
-            )
+            for base, what in ((GenericBias, "at rest"), (GenericLeak, "showing the other side too"))
             for side in (Station.LEFT, Station.RIGHT)
         ),
+        _kind(GenericPhase, "left side phase growing with frequency", stations=(Station.LEFT,)),
+        _kind(GenericPhase, "right side phase growing with frequency", stations=(Station.RIGHT,)),
+        _kind(GenericPhase, BOTH_LATE, stations=(Station.LEFT, Station.RIGHT)),
         _kind(GenericRollOff, "gain falling with frequency"),
         _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
         _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),

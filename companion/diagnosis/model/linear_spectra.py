@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import Structure, slot_name, structure_of
-from companion.diagnosis.model.generic_leak import GenericLeak
+from companion.diagnosis.model.generic_sensing import GenericLeak
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side, Station
@@ -53,6 +53,8 @@ class Spectra:
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
         self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
         self._receptances: dict[bytes, Complexes] = {}
+        self._filtered: list[tuple[Complexes, Complexes, Complexes]] = []
+        self._responses: tuple[object, Complexes] | None = None
         self._level = self._reference_levels()
 
     def linear(
@@ -77,7 +79,7 @@ class Spectra:
                 sensing = self._leaked(effect, sensing)
         receptances = self._receptance(structure)
         if filtered is not None:
-            receptances = inverse(inverse(full(receptances)) - filtered[..., : len(self.f_hz)])
+            receptances = self._with_memory(receptances, filtered)
         return Linear(receptances, load, sensing, noise)
 
     def _leaked(self, leak: GenericLeak, sensing: Complexes) -> Complexes:
@@ -89,8 +91,36 @@ class Spectra:
         return shown
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
-        """Complex gain of the accelerometers, (c, f)."""
-        return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
+        """Complex gain of the accelerometers, (c, f); the last is kept."""
+        names = [f"{side.name.lower()}.{what}" for side in self.sides for what in ("delay_s", "scale")]
+        key = tuple(effects), tuple(deviation.get(name, 0.0) for name in names)
+        if self._responses is None or self._responses[0] != key:
+            gains = np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
+            self._responses = key, gains
+        return self._responses[1]
+
+    def delay_s(self, effects: Sequence[Effect], deviation: Mapping[str, float], at_hz: float, t_s: Floats) -> float:
+        """Phase delay of the accelerometers at one frequency beyond their believed filters, mean of all and of time."""
+        omega, delays = 2.0 * np.pi * at_hz, []
+        for side in self.sides:
+            station, phase, late_s = STATIONS[side], 0.0, deviation.get(f"{side.name.lower()}.delay_s", 0.0)
+            for effect in effects:
+                response = effect.response(station, np.array([at_hz]))
+                if response is not None:
+                    phase += float(np.angle(response[0]))
+                elif type(effect).sample_time is not Effect.sample_time:
+                    late_s += float(np.mean(t_s - effect.sample_time(station, t_s)))
+            delays.append(late_s - phase / omega)
+        return float(np.mean(delays))
+
+    def _with_memory(self, receptances: Complexes, filtered: Complexes) -> Complexes:
+        """Receptance under further forces per deflection; the last few are kept, as those of structures are."""
+        for plain, filters, coupled in self._filtered:
+            if plain is receptances and filters is filtered:
+                return coupled
+        result = inverse(full(inverse(receptances)) - filtered[..., : len(self.f_hz)])
+        self._filtered = [*self._filtered[1 - _CACHED :], (receptances, filtered, result)]
+        return result
 
     def _receptance(self, structure: Structure) -> Complexes:
         """The receptance; the last few are kept, for most parameters do not change the structure."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -122,15 +123,19 @@ class SmoothedMotion:
     def forces_on(self, wing: WingModel, terms: Sequence[EffectTerm]) -> _Forces | None:
         """Forces of a model beside this one, on the motion of this one; its own where they are the same.
 
-        None where there are none to share: a law that acts here already may change the motion by its parameters.
+        None where there are none to share: a law that acts here already may change the motion by its parameters. A
+        mode that the step adds hardly takes part in the tips' motion yet.
         """
-        forces = self._forces
-        if not terms or len(self.modal) != wing.count or any(term not in terms for term in self._terms):
+        forces, count = self._forces, len(self.modal)
+        if not terms or count > wing.count or any(term not in terms for term in self._terms):
+            return None
+        same = len(terms) == len(self._terms) and _alike(wing.structure, self._wing.structure)
+        if forces is not None and same:
+            return forces if count == wing.count else _with_modes(forces, wing.count - count)
+        if count < wing.count:
             return None
         if forces is None:
             return self._forces_on_motion(wing, terms, self.in_time, self._untold_m(self.smoother))
-        if len(terms) == len(self._terms) and _alike(wing.structure, self._wing.structure):
-            return forces
         return self._forces_on_motion(wing, terms, forces.motion, forces.untold_m)
 
     @cached_property
@@ -217,9 +222,30 @@ class SmoothedMotion:
         return deflection + self._transforms.in_time(forced), speed + self._transforms.in_time(forced * omega)
 
 
-def _alike(first: Structure, other: Structure) -> bool:
-    """Whether forces see no difference between two structures."""
-    return all(
-        np.array_equal(getattr(first, name), getattr(other, name))
-        for name in ("stiffness_radps2", "damping_radps", "lift", "slope_radpm")
+def _alike(further: Structure, structure: Structure) -> bool:
+    """Whether forces see no difference between a structure and one that may have further modes."""
+    names = ("stiffness_radps2", "damping_radps", "lift", "slope_radpm")
+    both = [(getattr(further, name), getattr(structure, name)) for name in names]
+    return all(np.array_equal(first[: len(second), : structure.count], second) for first, second in both)
+
+
+def _with_modes(forces: _Forces, more: int) -> _Forces:
+    """Forces on a motion to which modes at rest are added, on which nothing acts."""
+
+    def longer(values: Any) -> Any:
+        """Rows that are modes, and columns where these are modes too."""
+        widths = [(0, 0)] * values.ndim
+        widths[0] = (0, more)
+        if values.shape[:2] == (len(forces.push.per_q),) * 2:
+            widths[1] = (0, more)
+        return np.pad(values, widths)
+
+    push = forces.push
+    wider = StatisticalLinearisation(
+        longer(push.per_q),
+        longer(push.per_qdot),
+        longer(push.residual_mps2),
+        None if push.filtered is None else longer(push.filtered),
     )
+    motion = longer(forces.motion[0]), longer(forces.motion[1])
+    return _Forces(motion, forces.untold_m, wider, None if forces.rest is None else longer(forces.rest))

@@ -85,15 +85,16 @@ def maximise(
     rounds: int,
     neighbour_scores: Callable[[Floats, State], Scores[State]] | None = None,
     values_alone: bool = False,
+    begun: Scores[State] | None = None,
 ) -> Maximum[State]:
     """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps.
 
     ``neighbour_scores`` gives scores with the derivatives at a neighbouring vector, which cost little: they serve as
     long as the posterior rises as they predict. The maximum is judged with exact ones, unless ``values_alone`` are
-    wanted.
+    wanted. ``begun`` are such scores of the start itself.
     """
     prior, approximate = NormalPrior(model.parameters), neighbour_scores or (lambda at, _state: model.scores(at))
-    values, scores, exact, converged, damping = start.copy(), model.scores(start), True, False, 0.0
+    values, scores, exact, converged, damping = start.copy(), begun or model.scores(start), begun is None, False, 0.0
     for _ in range(rounds):
         predicted = _predicted_gain(prior, values, scores)
         step = None if predicted < _NEGLIGIBLE else _climb(model, prior, values, scores, damping)

@@ -78,9 +78,10 @@ def climb(
     rounds: int,
     neighbour_scores: Callable[[Floats, State], Scores[State]] | None = None,
     values_alone: bool = False,
+    begun: Scores[State] | None = None,
 ) -> Fit[TermT, State]:
     """The most probable values of a model from ``start`` (p,), in at most ``rounds`` steps of :func:`maximise`."""
-    best = maximise(model, start, rounds, neighbour_scores, values_alone)
+    best = maximise(model, start, rounds, neighbour_scores, values_alone, begun)
     prior = NormalPrior(model.parameters)
     return Fit(
         tuple(terms),

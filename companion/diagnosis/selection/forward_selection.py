@@ -131,7 +131,7 @@ class ForwardSelection(Generic[TermT, State]):
             index = [entry.term.key for entry in pruned.causes].index(cause.term.key)
             terms = tuple(term for i, term in enumerate(pruned.fitted.terms) if i != index)
             self._progress(f"do without {cause.term.name}", 0.0)
-            previous = path.stages[-2] if pruned is path and index == len(terms) else None
+            previous = path.stages[-2] if pruned.fitted is path.fitted and index == len(terms) else None
             without = previous if previous and previous.converged else self._recordings.fit(terms, pruned.fitted)
             factor = pruned.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)

@@ -175,6 +175,7 @@ def _candidate(tested: Tested[TermT], score: Floats, information: Floats, log_tr
     freedom = max(int(np.sum(values > 0.1)), 1)
     z = normal_score(min(float(chi2.logsf(power, freedom)) + log_trials, 0.0))
     odds = 0.5 * power - log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
+    odds += math.log(2.0) if tested.one_way else 0.0  # half a normal prior is twice as dense
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas

@@ -31,7 +31,9 @@ class SensorFilter(Effect):
         if station is Station.ROOT:
             return np.ones(len(f_hz), dtype=np.complex128)
         omega = 2.0 * np.pi * f_hz
-        return np.asarray(1.0 / (1.0 - self.second_s2 * omega**2 + 1j * omega * self.lag_s), dtype=np.complex128)
+        # below 0 it would be unstable: a gain that falls and turns no phase, which is none of a filter
+        second_s2 = max(self.second_s2, 0.0)
+        return np.asarray(1.0 / (1.0 - second_s2 * omega**2 + 1j * omega * self.lag_s), dtype=np.complex128)
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Filter a block of samples on an even grid."""

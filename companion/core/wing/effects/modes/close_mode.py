@@ -23,7 +23,7 @@ class CloseMode(Effect):
     scan: ClassVar = MappingProxyType({"ratio": (-0.1, -0.075, -0.05, 0.05, 0.075, 0.1)})
 
     participation: float = parameter("", 0.5, "power of its acceleration at the tip")
-    ratio: float = parameter("", 0.03, "relative distance of its frequency from the first mode's", default=0.07)
+    ratio: float = parameter("", 0.1, "relative distance of its frequency from the first mode's", default=0.07)
 
     def structure(self, structure: Structure) -> Structure:
         """Append the mode."""

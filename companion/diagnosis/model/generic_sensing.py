@@ -1,0 +1,36 @@
+"""Laws of the sensors that nobody has named: a channel that leaks into the other, readings that are late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.records import Floats, Station
+
+
+@dataclass(frozen=True, slots=True)
+class GenericLeak(Effect):
+    """One side also shows a share of what the other side does."""
+
+    group: ClassVar[Group] = Group.SENSING
+    station: ClassVar[Station]
+
+    leaked_ratio: float = parameter("", 0.1, "of the other side's motion")
+
+
+@dataclass(frozen=True, slots=True)
+class GenericPhase(Effect):
+    """A phase of one side, or of both, that grows with frequency."""
+
+    group: ClassVar[Group] = Group.SENSING
+    stations: ClassVar[tuple[Station, ...]]
+
+    slope_s: float = parameter("s", 0.005, "phase per angular frequency")
+
+    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+        """Turn it where it is."""
+        return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station in type(self).stations else None
