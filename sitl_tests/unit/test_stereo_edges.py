@@ -41,3 +41,21 @@ def test_a_wall_with_one_wrong_match_in_twenty_keeps_its_sigma_nearly_always() -
     estimates = [_ahead(_walls(seed, 1.0, wrong=7)) for seed in range(200)]
     assert sum(each.sigma_pm > 3.0 * SIGMA_PM / np.sqrt(MATCHES) for each in estimates) <= 20
     assert all(abs(each.inverse_pm - 1.0 / NEAR_M) < 4.0 * each.sigma_pm for each in estimates)
+
+
+def test_rays_that_meet_behind_the_cameras_give_no_range_and_spoil_none() -> None:
+    """A toe wrong by a radian: sigmas below and near 0, whose inverse squares made a singular fit of them."""
+    walls = _walls(1, 1.0)
+    behind = Depths(-walls.inverse_pm, -walls.sigma_pm, walls.tangent, walls.parallax_rad)
+    behind.sigma_pm[::3] = 0.0
+    assert robust_inverse_depth(behind, RangeProduct.MEDIAN, LEAST) is None
+    both = Depths(
+        *(
+            np.concatenate([getattr(walls, name), getattr(behind, name)])
+            for name in ("inverse_pm", "sigma_pm", "tangent", "parallax_rad")
+        )
+    )
+    mixed, alone = (robust_inverse_depth(each, RangeProduct.MEDIAN, LEAST) for each in (both, walls))
+    assert mixed is not None
+    assert alone is not None
+    assert mixed.inverse_pm == alone.inverse_pm

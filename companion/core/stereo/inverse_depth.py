@@ -94,8 +94,9 @@ def consistent(depths: Depths) -> Ints:
     """Indices of finite matches whose vertical parallax agrees with that of the others.
 
     A common parallax is an error of the extrinsics and smooth over the image; a match that differs is a wrong match.
+    Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.
     """
-    finite = np.flatnonzero(np.isfinite(depths.inverse_pm) & np.isfinite(depths.sigma_pm))
+    finite = np.flatnonzero(np.isfinite(depths.inverse_pm) & np.isfinite(depths.sigma_pm) & (depths.sigma_pm > 0.0))
     if finite.size < 3:
         return finite
     design = np.column_stack([np.ones(finite.size), depths.tangent[finite]])
