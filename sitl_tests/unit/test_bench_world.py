@@ -25,7 +25,7 @@ PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]
 
 def part(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
     flight = {"columns": COLUMNS + PEER_COLUMNS, "judged": [[*shot, 0.0, 0.0, 0.0] for shot in judged], "withheld": {}}
-    return flight | {"refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0} | changes
+    return flight | {"seed": 1, "refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0} | changes
 
 
 def shot(t_s: float, range_m: float = 60.0, toe: float = 0.0, trusted: float = 1.0) -> list[float]:

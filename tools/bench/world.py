@@ -21,6 +21,7 @@ import json
 import math
 import sys
 from collections import Counter
+from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,13 +52,18 @@ class Pooled:
     """All flights of one row: their judged shots by column, which of them settled, and the reasons to withhold."""
 
     row: CampaignRow
-    flights: int
+    seeds: tuple[int, ...]
     expected: int
     flight: Floats
     columns: dict[str, Floats]
     aloft: Floats
     airborne_s: Floats
     reasons: Counter[str]
+
+    @property
+    def flights(self) -> int:
+        """How many there are."""
+        return len(self.seeds)
 
     @property
     def trusted(self) -> Floats:
@@ -105,7 +111,7 @@ def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
         expected += max(round((last_s - first_s) / part["shot_s"]), 0)
     return Pooled(
         row,
-        len(parts),
+        tuple(part["seed"] for part in parts),
         expected,
         np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)]),
         dict(zip(names, np.concatenate(tables).T, strict=True)),
@@ -148,14 +154,24 @@ def missed(group: Pooled, figures: dict[str, float], possible: float = 1.0) -> l
     return [name for name, failed in wrong.items() if failed]
 
 
+def _against(reference: Pooled | None, group: Pooled) -> tuple[float, float]:
+    """Fast error of the reference, mrad, and the row's over it in flights of the same seeds; NaN without one."""
+    if reference is None or group.row.accident.name:
+        return math.nan, math.nan
+    least_mrad = _fast_mrad(reference, "toe", group.seeds)
+    return least_mrad, _fast_mrad(group, "toe", reference.seeds) / least_mrad
+
+
 def _conditions(row: CampaignRow) -> tuple[str, str, str]:
     return row.world, row.airframe, row.sensors
 
 
-def _fast_mrad(group: Pooled, name: str) -> float:
+def _fast_mrad(group: Pooled, name: str, seeds: Container[int] | None = None) -> float:
     """Rms above :data:`_FAST_HZ` of one toe's error over all settled and trusted shots, flight by flight, mrad."""
     squares, count = 0.0, 0
-    for k in range(group.flights):
+    for k, seed in enumerate(group.seeds):
+        if seeds is not None and seed not in seeds:
+            continue
         mine = (group.flight == k) & group.settled & group.trusted & np.isfinite(group.columns[name])
         if np.sum(mine) > 10:
             error = (group.columns[name] - group.columns["true_toe"])[mine]
@@ -200,7 +216,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     lines, peers, failures = [head], [], 0
     fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} {'reference':>11s} {'ratio':>7s} "
     fast += " ".join(f"{name:>11s}" for name in PEERS)
-    references = {_conditions(group.row): _fast_mrad(group, "toe") for group in groups if group.row.reference}
+    references = {_conditions(group.row): group for group in groups if group.row.reference}
     groups = [group for group in groups if not group.row.reference]
     figures = [summary(group) for group in groups]
     ideal = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.name == "ideal"}
@@ -208,8 +224,8 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     for group, f in zip(groups, figures, strict=True):
         possible = circuit if group.row.accident.circuit else ideal
         short = missed(group, f, possible.get(group.row.airframe, 1.0))
-        reference = math.nan if group.row.accident.name else references.get(_conditions(group.row), math.nan)
-        if f["fast toe"] > _MOST_OVER_REFERENCE * reference:
+        reference, ratio = _against(references.get(_conditions(group.row)), group)
+        if ratio > _MOST_OVER_REFERENCE:
             short.append("reference")
         failures += bool(short)
         name = f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s}"
@@ -221,7 +237,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
         )
         if not group.row.accident.name:
             others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS)
-            peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {f['fast toe'] / reference:7.2f} {others}")
+            peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {ratio:7.2f} {others}")
     lines += ["", fast, *peers, "", "why shots were withheld or refused, per flight:"]
     for group in groups:
         reasons = ", ".join(f"{reason} {count / group.flights:.0f}" for reason, count in group.reasons.most_common(6))
