@@ -52,6 +52,7 @@ def test_a_tip_without_gyros_whose_peaks_are_clipped_is_blinded_and_a_glitch_is_
             stream.add(dataclasses.replace(_batch(t_ms[chunk], values[chunk]), axes=axes), 0)
         assert stream.blinded is expected
         assert np.all(stream.samples()[1][:, 2] == -9.8), "what is clipped is dropped"
+        stream.add(_batch(t_ms[:3], np.full((3, 6), 1e6)), 0)  # all beyond the range: nothing is left to count
     stream.add(dataclasses.replace(_batch(8000.0 + np.arange(8000.0), values[1:2].repeat(8000, 0)), axes=Axis.Z), 0)
     assert not stream.blinded
 

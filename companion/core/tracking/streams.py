@@ -202,7 +202,7 @@ class SampleBuffer:
 
     def _count_clipped(self, clipped: int, count: int) -> None:
         """Carry the share of clipped samples on over a batch."""
-        if clipped or self.clipped_share:
+        if count and (clipped or self.clipped_share):
             weight = min(count * self._period_ns * 1e-9 / _CLIPPED_MEMORY_S, 1.0)
             self.clipped_share += weight * (clipped / count - self.clipped_share)
             if self.clipped_share < 1e-6:
