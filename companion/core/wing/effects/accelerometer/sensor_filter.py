@@ -27,7 +27,7 @@ class SensorFilter(Effect):
     second_s2: float = parameter("s^2", 5e-6, "of a filter of second order: one over its squared corner, rad/s")
 
     def response(self, station: Station, f_hz: Floats) -> Complexes:
-        """A single pole."""
+        """Gain of one pole, or of two."""
         if station is Station.ROOT:
             return np.ones(len(f_hz), dtype=np.complex128)
         omega = 2.0 * np.pi * f_hz
