@@ -14,7 +14,7 @@ from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
-from companion.core.stereo.lens_residual import straightened
+from companion.core.stereo.lens_residual import LensAxes, straightened
 from companion.core.stereo.ranging import divergence, orientation_axis
 from companion.core.stereo.triangulation import Rays, match_rays, range_axis_of_rig, triangulate
 from companion.params.airframe import Airframe
@@ -73,7 +73,7 @@ class TrueGeometry:
         if turned is None:
             return self._read(matches, self._belief, moving)
         moving = with_relative_rotation(moving, frame.T @ turned.rotation_rad)
-        rays = straightened(match_rays(self._belief, moving, matches), turned.lens, frame)
+        rays = straightened(match_rays(self._belief, moving, matches), turned.lens, LensAxes.exposed(moving, frame))
         return self._read_rays(matches, self._belief, rays)
 
     def oracle(self, matches: MatchSet) -> TrueReading | None:

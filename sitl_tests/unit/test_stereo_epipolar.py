@@ -10,8 +10,9 @@ import pytest
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame, parallax
 from companion.core.stereo.epipolar_states import PARALLAX_STATES, ExtrinsicsPrior, FastBelief
+from companion.core.stereo.exposure import rest_exposures
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS
+from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.params.files import load_airframe
@@ -149,12 +150,19 @@ def test_a_fast_error_with_memory_is_not_averaged_away(rig: Rig) -> None:
     assert 0.6 < np.mean(np.square(ratios)) < 1.5
 
 
+def _axes(rig: Rig) -> LensAxes:
+    """Of both cameras at rest, epipolar frame."""
+    frame = epipolar_frame(rig)
+    return LensAxes.exposed(rest_exposures(rig), frame).in_frame(frame)
+
+
 def test_the_design_is_the_derivative_of_the_parallax(rig: Rig) -> None:
     seen = in_frame(_rays(rig, np.array([0.003, 0.002, -0.004]), 9), epipolar_frame(rig))
+    axes = _axes(rig)
     at = np.array([1e-3, -2e-3, 3e-3, 1e-3, 2e-3, 1e-3, 2e-3, 1e-3, -1e-3, 1e-3, 2e-3, 1e-3, -2e-3, 1e-3])
-    _, design = parallax(seen, at)
+    _, design = parallax(seen, axes, at)
     for column, step in enumerate(1e-6 * np.eye(PARALLAX_STATES)):
-        slope = (parallax(seen, at - step)[0] - parallax(seen, at + step)[0]) / 2e-6
+        slope = (parallax(seen, axes, at - step)[0] - parallax(seen, axes, at + step)[0]) / 2e-6
         # the design leaves out what is second order in the state: a few mrad times the column itself
         assert np.abs(slope - design[:, column]).max() < 0.01
 
@@ -163,7 +171,7 @@ def test_turning_the_rays_back_leaves_no_parallax(rig: Rig) -> None:
     true = np.array([0.002, -0.003, 0.004])
     rays = in_frame(_rays(rig, true, 10), epipolar_frame(rig))
     turned = dataclasses.replace(rays, right=rays.right @ exp_rotation(true).T)
-    left_over, _ = parallax(turned, np.zeros(PARALLAX_STATES))
+    left_over, _ = parallax(turned, _axes(rig), np.zeros(PARALLAX_STATES))
     assert np.std(left_over) < 1.2 * NOISE_RAD
 
 

@@ -19,6 +19,7 @@ from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, RelativeRotation
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.test_stereo_lens_residual import with_residual
 
 YAW, ROLL = 1, 2
 TRUE_SLOPE = 0.02
@@ -55,14 +56,17 @@ def _told(
 
 
 def _mounted(airframe: Airframe, random: np.random.Generator) -> tuple[Airframe, np.ndarray]:
-    """The truth: both cameras turned by their priors; and the relative rotation that makes, epipolar frame."""
+    """The truth: both cameras turned and both lenses bent by their priors; the relative rotation, epipolar frame."""
     cameras, turned = [], []
     rig = Rig.from_airframe(airframe)
     for mounted, camera in ((rig.left, airframe.left_camera), (rig.right, airframe.right_camera)):
         assert camera is not None
         turn = camera.rotation_sigma_rad * random.standard_normal(3)
         x, y, z = turn.tolist()
-        cameras.append(dataclasses.replace(camera, rotation_rad=(x, y, z)))
+        sigma = [camera.focal_px.sigma / camera.focal_px.value, camera.radial_sigma]
+        sigma += [camera.tilt_sigma_rad] * 2 + [camera.prism_sigma] * 2
+        bent = with_residual(dataclasses.replace(camera, rotation_rad=(x, y, z)), sigma * random.standard_normal(6))
+        cameras.append(bent)
         turned.append(mounted.rest.camera_from_body.T @ turn)
     frame = ExtrinsicsDriftFilter(rig, airframe).body_from_epipolar.T
     return dataclasses.replace(airframe, left_camera=cameras[0], right_camera=cameras[1]), frame @ (

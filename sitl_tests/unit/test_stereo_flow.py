@@ -35,6 +35,7 @@ from companion.core.stereo.lens_residual import (
     TILT_X_MEAN,
     TILT_Y,
     TILT_Y_MEAN,
+    LensAxes,
 )
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
@@ -89,6 +90,7 @@ def _view(
         pose,
         FlightBetween(_PASSED_S, turn_rad, moved_m, covariance, np.zeros((3, 3))),
         _EPIPOLAR,
+        LensAxes(_EPIPOLAR, _EPIPOLAR),
     )
 
 

@@ -14,7 +14,7 @@ from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.flow import FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import LENS_TERMS, TILT_X, pair_variances
+from companion.core.stereo.lens_residual import LENS_TERMS, TILT_X, LensAxes, pair_variances
 from companion.core.stereo.triangulation import Rays, match_rays
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side
@@ -68,7 +68,8 @@ def _fly(airframe: Airframe, residuals: tuple[Floats, Floats], seed: int) -> Flo
         matches, wing = match_set(left, right, MATCH_PX), bend(SLOPE, t_ns=round(k * PAIR_S * 1e9))
         moving = exposures(rig, tips, wing, wing)
         rays = match_rays(rig, moving, matches)
-        flow = _view(rig, rays, (earlier, left), between, drift.body_from_epipolar.T) if k else None
+        axes = LensAxes.exposed(moving, drift.body_from_epipolar.T)
+        flow = _view(rig, rays, (earlier, left), between, drift.body_from_epipolar.T, axes) if k else None
         turned = drift.update(matches, rays, (wing, wing), moving, 0.0, flow=flow)
         knocks += drift.verdict is MatchVerdict.KNOCKED
     sigma = np.sqrt(np.diag(drift.joint_covariance))
@@ -83,14 +84,19 @@ def _fly(airframe: Airframe, residuals: tuple[Floats, Floats], seed: int) -> Flo
 
 
 def _view(
-    rig: Rig, rays: Rays, left_px: tuple[Floats, Floats], between: FlightBetween, epipolar_from_body: Floats
+    rig: Rig,
+    rays: Rays,
+    left_px: tuple[Floats, Floats],
+    between: FlightBetween,
+    epipolar_from_body: Floats,
+    axes: LensAxes,
 ) -> FlowView:
     """Every feature found again in the left image before, at pixels (n, 2) there and now."""
     lens, count = rig.left.lens, len(rays.left)
     earlier, later = (lens.unproject(px) for px in left_px)
     pose = rig.pose(Side.LEFT, SLOPE[0], 0.0)
     sigma_rad = np.full(count, MATCH_PX / lens.focal_px)
-    return FlowView(rays, sigma_rad, earlier, later, sigma_rad, pose, pose, between, epipolar_from_body)
+    return FlowView(rays, sigma_rad, earlier, later, sigma_rad, pose, pose, between, epipolar_from_body, axes)
 
 
 def _ahead() -> Airframe:

@@ -43,9 +43,10 @@ from companion.core.stereo.epipolar_states import (
     rotation_rows,
     with_lens_rows,
 )
+from companion.core.stereo.exposure import rest_exposures
 from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import lens_ratio
+from companion.core.stereo.lens_residual import LensAxes, lens_ratio
 from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
@@ -112,6 +113,7 @@ class EpipolarFilter:
 
     def __init__(self, rig: Rig, prior: ExtrinsicsPrior) -> None:
         self.epipolar_from_body = epipolar_frame(rig)
+        self._rest_axes = LensAxes.exposed(rest_exposures(rig), self.epipolar_from_body)
         self._prior = prior
         self._mean = np.zeros(PERSISTENT_STATES)
         self._covariance = np.diag(self._first_variances())
@@ -151,6 +153,7 @@ class EpipolarFilter:
         bend: BendBelief = NO_BEND,
         shift_covariance: Floats = NO_SHIFT,
         flow: FlowView | None = None,
+        axes: LensAxes | None = None,
     ) -> EpipolarUpdate | Reject:
         """Take the matches of one pair.
 
@@ -170,6 +173,8 @@ class EpipolarFilter:
             Of this pair's own baseline direction, y and z: flight between the exposures.
         flow : FlowView, optional
             Features that an earlier left image shows too.
+        axes : LensAxes, optional
+            Of both cameras as believed, body axes; at rest, if not given.
 
         Returns
         -------
@@ -182,8 +187,9 @@ class EpipolarFilter:
         mean, predicted = self._predicted(t_host_ns, bend, fast, velocity)
         prior = joint_prior(predicted, shift_covariance / max(float(np.trace(shift_covariance)) / _MAX_SHIFT_RAD2, 1.0))
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
+        epipolar_axes = (axes or self._rest_axes).in_frame(self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer, verdict = self._solved(epipolar_rays, noise_rad, fast, mean, prior, bend)
+        answer, verdict = self._solved(epipolar_rays, epipolar_axes, noise_rad, fast, mean, prior, bend)
         contradicts = False
         if flow is not None and verdict is MatchVerdict.AGREE:
             answer, contradicts = self._flown(answer, flow, bend, t_host_ns)
@@ -195,15 +201,22 @@ class EpipolarFilter:
         return _describe(answer, bend, verdict, contradicts)
 
     def _solved(
-        self, epipolar_rays: Rays, noise_rad: Floats, fast: FastBelief, mean: Floats, prior: Floats, bend: BendBelief
+        self,
+        epipolar_rays: Rays,
+        axes: LensAxes,
+        noise_rad: Floats,
+        fast: FastBelief,
+        mean: Floats,
+        prior: Floats,
+        bend: BendBelief,
     ) -> tuple[Posterior, MatchVerdict]:
         """Posterior of one pair with as much innovation as the test grants, and the test's verdict."""
-        answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
+        answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
         tested = innovation_of(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance)
         verdict, granted_rad2 = self._test.take(tested)
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
-            answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
+            answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
         bound = with_bound_innovation(answer, granted_rad2)
         return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
 

@@ -13,11 +13,13 @@ depth that varies. Yaw is the toe that falsifies ranges; its covariance tells ho
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from companion.core.stereo.epipolar_states import BASELINE, LENS
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import parallax_columns
+from companion.core.stereo.lens_residual import LensAxes, parallax_columns
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
@@ -39,26 +41,29 @@ def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
     return Rays(*(np.asarray(array @ frame_from_body.T, dtype=np.float64) for array in arrays))
 
 
-def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
+def parallax(epipolar_rays: Rays, axes: LensAxes, state: Floats) -> tuple[Floats, Floats]:
     """Parallax (n,) that a state (14,) leaves, and how it falls with each of its entries (n, 14).
 
     Parameters
     ----------
     epipolar_rays : Rays
         Matched rays in the epipolar frame.
+    axes : LensAxes
+        Of both cameras, in the epipolar frame.
     state : (14,) float64
         Pitch, yaw, roll of the right camera against the left in all, baseline y and z, terms of the lens residual. Each
         camera has half of the rotation: a bend turns both, and leaves the baseline where it was.
     """
     half = exp_rotation(0.5 * state[:3])
-    left, right = epipolar_rays.left @ half, epipolar_rays.right @ half.T
+    turned = replace(epipolar_rays, left=epipolar_rays.left @ half, right=epipolar_rays.right @ half.T)
+    left, right = turned.left, turned.right
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
     x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
     apart = epipolar_rays.right_m - epipolar_rays.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
     disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
-    lens = parallax_columns(np.column_stack([x_l, y_l]), np.column_stack([x_r, y_r]))
+    lens = parallax_columns(turned, axes.turned(half))
     residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
-    turned = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
-    columns = np.stack([*turned, disparity, twisted], axis=1)
+    per_turn = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
+    columns = np.stack([*per_turn, disparity, twisted], axis=1)
     return residual_rad, np.concatenate([columns, lens], axis=1)

@@ -30,6 +30,7 @@ from companion.core.stereo.epipolar_states import (
     rotation_rows,
 )
 from companion.core.stereo.flow import FlowInnovation
+from companion.core.stereo.lens_residual import LensAxes
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
@@ -72,7 +73,7 @@ def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floa
 
 
 def maximum_a_posteriori(
-    epipolar_rays: Rays, sigma_rad: Floats, carried: Floats, covariance: Floats, bend: BendBelief
+    epipolar_rays: Rays, axes: LensAxes, sigma_rad: Floats, carried: Floats, covariance: Floats, bend: BendBelief
 ) -> Posterior:
     """Posterior by reweighted Gauss-Newton; bend, fast part and innovation add to the slow rotation.
 
@@ -80,6 +81,8 @@ def maximum_a_posteriori(
     ----------
     epipolar_rays : Rays
         n matched rays in the epipolar frame.
+    axes : LensAxes
+        Of both cameras, in the epipolar frame.
     sigma_rad : (n,) float64
         One-sigma of each parallax.
     carried, covariance : (persistent states,), (all states, all states) float64
@@ -96,7 +99,7 @@ def maximum_a_posteriori(
     for _ in range(_GAUSS_NEWTON_STEPS):
         total = np.concatenate([gather @ state, state[3:PARALLAX_STATES]])
         total[BASELINE] += state[SHIFT]
-        residual_rad, columns = parallax(epipolar_rays, total)
+        residual_rad, columns = parallax(epipolar_rays, axes, total)
         design = columns[:, :3] @ gather
         design[:, 3:PARALLAX_STATES], design[:, SHIFT] = columns[:, 3:], columns[:, BASELINE]
         # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone

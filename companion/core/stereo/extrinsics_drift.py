@@ -17,7 +17,7 @@ from companion.core.stereo.epipolar_states import SYSTEMATIC_DOWN_RAD, BendBelie
 from companion.core.stereo.exposure import CameraExposure, tip_signs
 from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS, pair_variances
+from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, pair_variances
 from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
@@ -95,7 +95,7 @@ class ExtrinsicsDriftFilter:
         bend : tuple of Deflection
             The tracked wing at the left and at the right exposure.
         exposures : tuple of CameraExposure
-            For how fast the cameras turn.
+            For how the cameras look, and how fast they turn.
         timing_sigma_s : float
             One-sigma of each exposure's stamp.
         motion : VehicleMotion
@@ -111,7 +111,8 @@ class ExtrinsicsDriftFilter:
         shift = self._shift(bend, exposures, timing_sigma_s, motion)
         update = None
         if use_matches:
-            update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow)
+            axes = LensAxes.exposed(exposures, self._filter.epipolar_from_body)
+            update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow, axes)
         self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
         self.flow_contradicts = isinstance(update, EpipolarUpdate) and update.flow_contradicts
         if isinstance(update, EpipolarUpdate):

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.stereo.geometry import Pose
-from companion.core.stereo.lens_residual import PAIR_TERMS, left_fields, left_terms, straightened
+from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, left_fields, left_terms, straightened
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Bools, Floats
@@ -131,6 +131,8 @@ class FlowView:
         The left camera by the tracked bend, in the body axes of either exposure.
     between : FlightBetween
     epipolar_from_body : (3, 3) float64
+    axes : LensAxes
+        Of both cameras at the pair's exposures, body axes.
     """
 
     rays: Rays
@@ -142,6 +144,7 @@ class FlowView:
     later_pose: Pose
     between: FlightBetween
     epipolar_from_body: Floats
+    axes: LensAxes
 
     @property
     def velocity_covariance(self) -> Floats:
@@ -254,7 +257,7 @@ class FlowView:
         baseline_m = np.linalg.norm(rays.right_m - rays.left_m, axis=1)[:, np.newaxis]
         right_m = rays.right_m + baseline_m * (baseline @ self.epipolar_from_body[1:])
         turned = Rays(rays.left_m, rays.left @ half, right_m, rays.right @ half.T)
-        return straightened(turned, lens, self.epipolar_from_body)
+        return straightened(turned, lens, self.axes.turned(half))
 
 
 def _projected(directions: Floats) -> tuple[Floats, Floats]:

@@ -23,8 +23,11 @@ difference: where both its rays are bent, the path is.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
@@ -46,6 +49,32 @@ OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y, RADIAL_MEAN, TILT_X_MEAN, TI
 """Terms of a pair that matches show, or the flow."""
 _MEANS = [RADIAL, TILT_X, TILT_Y]  # terms of one lens whose means a pair has
 _PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensAxes:
+    """Axes of both cameras as they look, each by quarter turns near the epipolar frame's.
+
+    A bent wing turns a camera, and its lens with it: a residual is a field of the camera's slopes, not of the frame's.
+    ``left`` and ``right`` (3, 3) have the axes x, y, z as rows, in the axes that the rays are in.
+    """
+
+    left: Floats
+    right: Floats
+
+    @classmethod
+    def exposed(cls, pair: tuple[CameraExposure, CameraExposure], epipolar_from_body: Floats) -> LensAxes:
+        """Axes at both exposures, in body axes."""
+        left, right = (exposure.pose.camera_from_body for exposure in pair)
+        return cls(*(np.rint(epipolar_from_body @ camera.T) @ camera for camera in (left, right)))
+
+    def in_frame(self, frame_from_body: Floats) -> LensAxes:
+        """The axes in another frame than body axes."""
+        return LensAxes(self.left @ frame_from_body.T, self.right @ frame_from_body.T)
+
+    def turned(self, half: Floats) -> LensAxes:
+        """The axes with the right camera turned by a rotation (3, 3), and the left one back by it."""
+        return LensAxes(self.left @ half, self.right @ half.T)
 
 
 def residual_field(x: Floats, y: Floats) -> Floats:
@@ -73,9 +102,12 @@ def left_terms(terms: Floats) -> tuple[Floats, Floats]:
     return per_term @ terms, per_term
 
 
-def parallax_columns(left: Floats, right: Floats) -> Floats:
-    """Parallax (n, 9) that a unit of each term of the pair leaves; slopes (n, 2) of matched rays."""
-    across_left, across_right = (residual_field(*slopes.T)[:, 1] for slopes in (left, right))
+def parallax_columns(rays: Rays, axes: LensAxes) -> Floats:
+    """Parallax (n, 9) that a unit of each term of the pair leaves; rays and axes in the epipolar frame."""
+    across_left, across_right = (
+        (bent[:, 1] - (directions[:, 1:2] / directions[:, 2:]) * bent[:, 2]) / directions[:, 2:]
+        for directions, bent in ((rays.left, _bent(rays.left, axes.left)), (rays.right, _bent(rays.right, axes.right)))
+    )
     return np.column_stack([0.5 * (across_left + across_right), (across_left - across_right)[:, _MEANS]])
 
 
@@ -106,16 +138,13 @@ def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float
     return float(max((_PRIOR_TERMS + excess.sum()) / (_PRIOR_TERMS + (w**2).sum()), 1.0))
 
 
-def straightened(rays: Rays, residual: Floats, epipolar_from_body: Floats) -> Rays:
-    """Rays in body axes with the residual (9,) of the pair taken out; half of the difference from each camera.
-
-    Terms are those of the epipolar frame, which every camera's axes are close to, or turned from by quarter turns.
-    """
+def straightened(rays: Rays, residual: Floats, axes: LensAxes) -> Rays:
+    """Rays with the residual (9,) of the pair taken out; half of the difference from each camera."""
     both = np.zeros(LENS_TERMS)
     both[_MEANS] = residual[LENS_TERMS:]
     half = 0.5 * residual[:LENS_TERMS]
-    left = _corrected(rays.left, both + half, epipolar_from_body)
-    return Rays(rays.left_m, left, rays.right_m, _corrected(rays.right, both - half, epipolar_from_body))
+    left = rays.left - _bent(rays.left, axes.left) @ (both + half)
+    return Rays(rays.left_m, left, rays.right_m, rays.right - _bent(rays.right, axes.right) @ (both - half))
 
 
 def pair_variances(airframe: Airframe) -> Floats:
@@ -131,8 +160,8 @@ def _sigmas(camera: Camera) -> Floats:
     return np.array([camera.focal_px.sigma / camera.focal_px.value, camera.radial_sigma, tilt, tilt, prism, prism])
 
 
-def _corrected(directions: Floats, residual: Floats, epipolar_from_body: Floats) -> Floats:
-    """Directions (n, 3), body axes, less a residual (6,) of their slopes in the epipolar frame."""
-    inside = directions @ epipolar_from_body.T
-    wrong = residual_field(inside[:, 0] / inside[:, 2], inside[:, 1] / inside[:, 2]) @ residual
-    return np.asarray(directions - (inside[:, 2:] * wrong) @ epipolar_from_body[:2], dtype=np.float64)
+def _bent(directions: Floats, axes: Floats) -> Floats:
+    """Error (n, 3, 6) of directions (n, 3) per unit of each term of a lens; its axes (3, 3) are in the same frame."""
+    x, y, z = axes @ directions.T
+    bent: Floats = axes[:2].T @ (residual_field(x / z, y / z) * z[:, np.newaxis, np.newaxis])
+    return bent

@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.core.stereo.exposure import CameraExposure, TipMotion, tip_signs
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
+from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, straightened
 from companion.core.stereo.rotation import skew
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import VehicleMotion
@@ -82,7 +82,7 @@ def gradient_of(
     rays : Rays
         n matched rays.
     exposures : tuple
-        Left and right exposure, for the optical axes.
+        Left and right exposure, for the cameras' axes.
     epipolar_from_body : (3, 3) float64
         Frame of the lens terms.
     """
@@ -95,7 +95,8 @@ def gradient_of(
         # a longer focal length makes every ray flatter: its part across the optical axis shrinks
         flat = direction - (direction @ look)[:, np.newaxis] * look
         changed.append(_with(rays, side, origin, direction - _STEP_RELATIVE * flat))
-    changed += [straightened(rays, _STEP_RELATIVE * term, epipolar_from_body) for term in np.eye(PAIR_TERMS)]
+    axes = LensAxes.exposed(exposures, epipolar_from_body)
+    changed += [straightened(rays, _STEP_RELATIVE * term, axes) for term in np.eye(PAIR_TERMS)]
     stacked = Rays.stacked(changed)
     results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ weights
     changes = results[1:] - results[0]

@@ -11,7 +11,7 @@ from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
-from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
+from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, straightened
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_rays, range_axis_of_rig, triangulate
@@ -188,14 +188,15 @@ class _Scene:
             moving = with_relative_rotation(moving, rotation_rad)
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
         range_axis = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
-        rays = straightened(match_rays(rig, moving, matches), lens, epipolar_frame(rig))
+        rays = straightened(match_rays(rig, moving, matches), lens, LensAxes.exposed(moving, epipolar_frame(rig)))
         return cls(matches, rig, airframe, left, t_host_ns, moving, conditions, lens, apart, range_axis, rays)
 
     def depths(self, matches: MatchSet) -> Depths:
         """Inverse depths of matches of this pair, along the range axis."""
         rays = self.rays
         if matches is not self.matches:
-            rays = straightened(match_rays(self.rig, self.moving, matches), self.lens, epipolar_frame(self.rig))
+            axes = LensAxes.exposed(self.moving, epipolar_frame(self.rig))
+            rays = straightened(match_rays(self.rig, self.moving, matches), self.lens, axes)
         return triangulate(rays, self.range_axis, matches.sigma_px / self.rig.left.lens.focal_px)
 
     def budget(self, gradient: Gradient) -> Budget:
