@@ -70,6 +70,15 @@ def test_trust_is_asked_for_from_fifteen_seconds_in_the_air_on_and_where_there_i
     assert figures["trusted"] == 1.0
 
 
+@pytest.mark.parametrize(("trusted", "misses"), [(8, False), (7, True)])
+def test_shots_whose_stamps_are_wrong_need_not_be_trusted(trusted: int, misses: bool) -> None:
+    """With a fifth of the stamps late, nine tenths of the other four fifths are 0.72 of all."""
+    late = next(accident for accident in ACCIDENTS if accident.late_share)
+    judged = [shot(16.0 + k, trusted=float(k < trusted)) for k in range(10)]
+    group = pooled(CampaignRow("ideal", "nadir-2m", "6-axis", late), [part(judged, touch_down_s=25.0)])
+    assert ("trusted" in missed(group, summary(group))) is misses
+
+
 def test_the_pair_alone_finds_the_yaw_of_a_turned_camera() -> None:
     airframe = load_airframe("nadir-2m")
     yaw = 0.004

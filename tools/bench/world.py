@@ -7,11 +7,12 @@ so that a campaign can be stopped and resumed; ``--table`` only prints what is t
 mix.
 
 trusted: share of the shots with texture from 15 s in the air on, with Wilson's 95 % interval; its target counts from
-what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe:
-error of the relative toe at the cameras over all trusted shots in the air from 15 s on, rms in mrad; NEES, and share
-inside 1, 2, 3 sigma. wrong: published ranges of the whole flight off by more than 5 sigma and 5 %, and by more than
-20 %. peers: rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer over the same shots,
-and of the estimator itself on the same flights without vibration and warm-up, told the sensors' noise (the reference).
+what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only, and
+leaves out the share of shots whose stamps are wrong. toe: error of the relative toe at the cameras over all trusted
+shots in the air from 15 s on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published ranges of the whole
+flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the
+estimate where it is trusted, of each peer over the same shots, and of the estimator itself on the same flights without
+vibration and warm-up, told the sensors' noise (the reference).
 """
 
 from __future__ import annotations
@@ -141,8 +142,9 @@ def summary(group: Pooled) -> dict[str, float]:
     return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", *PEERS)}
 
 
-def missed(group: Pooled, figures: dict[str, float], possible: float = 1.0) -> list[str]:
-    """Targets that a row misses; ``possible`` is the share that is trusted where nothing is wrong but the distance."""
+def missed(group: Pooled, figures: dict[str, float], near_enough: float = 1.0) -> list[str]:
+    """Targets that a row misses; ``near_enough`` is the share that is trusted where only the distance is wrong."""
+    possible = near_enough * (1.0 - group.row.accident.late_share)
     wrong = {
         "trusted": figures["trusted"] < _LEAST_TRUSTED[group.row.world] * possible,
         "NEES": not _NEES[0] <= figures["nees"] <= _NEES[1],
@@ -222,8 +224,8 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     ideal = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.name == "ideal"}
     circuit = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.is_ideal_circuit}
     for group, f in zip(groups, figures, strict=True):
-        possible = circuit if group.row.accident.circuit else ideal
-        short = missed(group, f, possible.get(group.row.airframe, 1.0))
+        near_enough = circuit if group.row.accident.circuit else ideal
+        short = missed(group, f, near_enough.get(group.row.airframe, 1.0))
         reference, ratio = _against(references.get(_conditions(group.row)), group)
         if ratio > _MOST_OVER_REFERENCE:
             short.append("reference")
