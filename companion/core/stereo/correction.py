@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, ground_reject, range_slack_mps, withheld
 from companion.core.stereo.epipolar_states import YAW
-from companion.core.stereo.exposure import TipMotion, bent_pose, exposures, slope_change_sigma_rad
+from companion.core.stereo.exposure import CameraExposure, TipMotion, bent_pose, exposures, slope_change_sigma_rad
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.flow import LEAST_FLOW, LONGEST_NS, FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
@@ -182,8 +182,7 @@ class Correction:
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
-        axes = LensAxes.exposed(moving, self.drift_filter.body_from_epipolar.T)
-        flow = self._flow(matches, rays, axes, bend[Side.LEFT]) if use_matches else None
+        flow = self._flow(matches, rays, moving, bend[Side.LEFT]) if use_matches else None
         turned = self.drift_filter.update(
             matches, rays, bend, moving, TIMING_SIGMA_S, motion, flow=flow, use_matches=use_matches
         )
@@ -191,7 +190,9 @@ class Correction:
         self._earlier = _EarlierPair(matches.pair_id, bend[Side.LEFT]) if agrees else None
         return turned
 
-    def _flow(self, matches: MatchSet, rays: Rays, axes: LensAxes, later: Deflection) -> FlowView | None:
+    def _flow(
+        self, matches: MatchSet, rays: Rays, moving: tuple[CameraExposure, CameraExposure], later: Deflection
+    ) -> FlowView | None:
         """Features that the left image of the pair before shows too, where the flight between the two is told."""
         flow, earlier = matches.flow, self._earlier
         if flow is None or earlier is None or flow.earlier_pair_id != earlier.pair_id or matches.row_time_ns:
@@ -213,7 +214,7 @@ class Correction:
             bent_pose(self.rig.left, tips, later),
             between,
             self.drift_filter.body_from_epipolar.T,
-            axes,
+            LensAxes.exposed(moving, self.drift_filter.body_from_epipolar.T),
         )
 
     def _flown(self, earlier: Deflection, later: Deflection) -> FlightBetween | None:

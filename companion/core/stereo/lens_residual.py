@@ -56,6 +56,7 @@ class LensAxes:
     """Axes of both cameras as they look, each by quarter turns near the epipolar frame's.
 
     A bent wing turns a camera, and its lens with it: a residual is a field of the camera's slopes, not of the frame's.
+    Its terms x and y are along these axes.
     ``left`` and ``right`` (3, 3) have the axes x, y, z as rows, in the axes that the rays are in.
     """
 
