@@ -39,9 +39,8 @@ class GroundMotion:
     range_m: float = np.inf
 
 
-@dataclass(frozen=True, slots=True)
-class BlurForecast:
-    """Blur over a forecast's instants, each side at its own mid-exposure.
+class BlurForecast(NamedTuple):
+    """Blur over a forecast's instants, each side at its own mid-exposure; ``trigger_minima`` in C reads it as it is.
 
     Attributes
     ----------
