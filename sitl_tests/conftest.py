@@ -1,4 +1,4 @@
-"""What holds for all tests."""
+"""Fixtures of all tests."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _textures_are_made_once() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _no_defect_is_contained(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What the service survives is a defect all the same: it fails the test, unless the test makes it (mark defect)."""
+    """A defect that the service survives fails the test all the same, unless the test makes it (mark defect)."""
     containment = sys.modules.get("companion.core.containment")
     if containment is None or request.node.get_closest_marker("defect"):
         yield

@@ -77,7 +77,7 @@ def swings(tables: Tables, hand: Generator = FIRST) -> dict[str, float]:
 
 
 def units_of(tables: Tables, hand: Generator) -> dict[str, float]:
-    """What a unit of each magnitude that a hand hides is in the parameter that the diagnosis gives."""
+    """Value, in the parameter that the diagnosis gives, of a unit of each magnitude that a hand hides."""
     return {**hand.units, **swings(tables, hand)}
 
 

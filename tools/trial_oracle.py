@@ -1,4 +1,4 @@
-"""What an oracle would gain in a trial: the effect that was really hidden, begun at its true values and refitted."""
+"""Gain of an oracle in a trial: the effect that was really hidden, begun at its true values and refitted."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def outside(rng: np.random.Generator, hand: Generator) -> list[Trial]:
 
 
 def strangers_acceptance(seed: int) -> list[list[Trial]]:
-    """What is promised of the other hand, 238 judgements in batches of ten, every kind from the first on."""
+    """Trials that are promised of the other hand, 238 judgements in batches of ten, every kind from the first on."""
     rng = np.random.default_rng(seed)
     mixed = [
         *singles(rng, names=STRANGER.names, judged=(False, True), hand=STRANGER),

@@ -1,4 +1,4 @@
-"""What blind trials came to: the figures, the table, the confusion matrix."""
+"""Report of blind trials: the figures, the table, the confusion matrix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the blind trials came to, as a page that is kept beside them: every figure with its count and interval."""
+"""Results of the blind trials as a page that is kept beside them: every figure with its count and interval."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _intervals(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def _gains(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
-    """Of trials in which a name was given, the held-out gain as a share of the true effect's."""
+    """Held-out gain as a share of the true effect's, of trials in which a name was given."""
     ratios = sorted(
         row["gain"] / row["oracle_gain"] for row in rows if row["gain"] and (row.get("oracle_gain") or 0.0) > 0
     )

@@ -85,7 +85,7 @@ def libraries(wheel: Path) -> dict[str, bytes]:
 
 
 def faults(wheel: Path, machine: str) -> list[str]:
-    """What a wheel is not that its name says, a sentence each."""
+    """Claims of a wheel's name that it breaks, a sentence each."""
     compiled = libraries(wheel)
     size_mb = wheel.stat().st_size / _MB
     return [

@@ -69,7 +69,7 @@ def find_corners(image: Bytes, board: Board) -> Corners | None:
 
 
 def common(left: Corners, right: Corners) -> Ints:
-    """Ids of the corners that both cameras see."""
+    """Ids (n,) of the corners that both cameras see, ascending."""
     return np.intersect1d(left.ids, right.ids)
 
 

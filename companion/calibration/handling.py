@@ -61,7 +61,7 @@ def is_still(samples: Mapping[Station, Floats]) -> bool:
 
 
 def tap_peaks(samples: Mapping[Station, Floats]) -> dict[Station, float]:
-    """Peak of the vertical about its median at each station, m/s^2."""
+    """Peak of the vertical about its median at each station, m/s^2; samples (n, 6) of each."""
     return {
         station: float(np.max(np.abs(values[:, 2] - np.median(values[:, 2]))))
         for station, values in samples.items()
@@ -70,7 +70,7 @@ def tap_peaks(samples: Mapping[Station, Floats]) -> dict[Station, float]:
 
 
 def judge_tap(samples: Mapping[Station, Floats], asked: Station) -> Judgement:
-    """Judge a tap on one tip by the peaks of both."""
+    """Judge a tap on one tip by the peaks of both; samples (n, 6) of each station."""
     peaks = tap_peaks(samples)
     other = Station.RIGHT if asked is Station.LEFT else Station.LEFT
     struck, across = peaks.get(asked, 0.0), peaks.get(other, 0.0)

@@ -107,7 +107,10 @@ def identify_runs(runs: list[FrequencyResponse], points: int) -> list[Identified
 
 
 def assurance(first: Floats | Complex, second: Floats | Complex) -> float:
-    """Modal assurance criterion ``|a^H b|^2 / (a^H a b^H b)`` over the points that both have."""
+    """Modal assurance criterion ``|a^H b|^2 / (a^H a b^H b)`` over the points (n,) that both have.
+
+    Allemang, Brown, IMAC 1 (1982); points that are not finite are left out.
+    """
     both = np.isfinite(first) & np.isfinite(second)
     a, b = first[both], second[both]
     return float(np.abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))

@@ -20,6 +20,10 @@ TEXTS = [
 NAMES = {Path(name).name for name in SHIPPED}
 FOLDERS = {str(parent) for name in SHIPPED for parent in Path(name).parents}
 
+# rooms whose README is the theory of every file in them
+THEORY = [f"companion/core/{room}" for room in ("clock", "kernels", "stereo", "tracking", "trigger", "wing")]
+THEORY += ["companion/calibration"]
+
 # what our programs and the build write, and what a test invents
 WRITTEN = {
     "report.md",
@@ -78,3 +82,15 @@ def test_paths_exist(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in TEXTS if name.endswith(".py")])
 def test_modules_that_docstrings_name_exist(name: str) -> None:
     assert {module for module in _MODULE.findall(_text(name)) if not _module_exists(module)} == set()
+
+
+@pytest.mark.parametrize("room", THEORY)
+def test_a_room_s_readme_names_its_files(room: str) -> None:
+    files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
+    assert {name for name in files if name not in _text(f"{room}/README.md")} == set()
+
+
+def test_every_room_has_a_readme() -> None:
+    rooms = {Path(name).parent for name in SHIPPED if name.startswith("companion/") and name.endswith(".py")}
+    doors = {room for room in rooms if len(room.parts) == 2} - {Path("companion/records")}  # its docstring is one
+    assert {str(room) for room in doors if f"{room}/README.md" not in SHIPPED} == set()

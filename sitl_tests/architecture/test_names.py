@@ -12,6 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = sorted((ROOT / "companion").rglob("*.py")) + sorted((ROOT / "mission_scripts").rglob("*.py"))
 MODULES = {str(path.relative_to(ROOT)): path for path in PACKAGE}
+PROGRAMS = {str(path.relative_to(ROOT)): path for top in ("sitl_tests", "tools") for path in (ROOT / top).rglob("*.py")}
 
 # words that carry no type of thing; ``left`` is a wing, so it is not among them
 EMPTY_WORDS = frozenset(
@@ -24,34 +25,47 @@ ON_DISK = {("companion/records/ranging.py", "known"), ("companion/core/wing/effe
 # what things were called before they had the field's name
 RETIRED = frozenset(
     (
+        "_without_idle_seconds",
         "astray",
         "bridged",
         "cell_means",
         "Cells",
         "ClockWatch",
         "crooked",
+        "Data",
         "debrief",
         "Delivery",
         "doubt",
         "evened",
         "Family",
         "fates",
+        "feasible",
+        "Fixed",
         "Floor",
         "folded",
+        "folding",
         "FrontEnd",
         "growing",
         "honesty",
         "IdentityWatch",
         "influence",
         "Inlet",
+        "inlet",
+        "knock",
+        "latent",
         "LatentForce",
         "Layout",
         "Lead",
+        "leads",
         "likeliest",
+        "Memory",
         "misfit",
         "Outlet",
         "OwnComponent",
+        "Part",
         "Publishing",
+        "Push",
+        "questions",
         "RangeStandIn",
         "Reading",
         "restored",
@@ -63,13 +77,16 @@ RETIRED = frozenset(
         "smeared",
         "standin",
         "steepness",
+        "Step",
         "StepModel",
+        "straighten",
         "Straightener",
         "Stretch",
         "surprise",
         "SURPRISED",
         "Tally",
         "tally",
+        "translate",
         "turned_apart",
         "TwoClocks",
         "unnamed",
@@ -118,8 +135,8 @@ def test_no_retired_name_is_back(name: str) -> None:
     assert RETIRED & set(_defined(_tree(MODULES[name]))) == set()
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS}))
 def test_no_docstring_opens_with_an_empty_word(name: str) -> None:
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    texts = [ast.get_docstring(node) or "" for node in ast.walk(_tree(MODULES[name])) if isinstance(node, kinds)]
+    texts = [ast.get_docstring(node) or "" for node in ast.walk(_tree(ROOT / name)) if isinstance(node, kinds)]
     assert [text.splitlines()[0] for text in texts if text.startswith(("Of ", "By ", "What ", "Let "))] == []

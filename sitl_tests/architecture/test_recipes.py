@@ -102,7 +102,7 @@ def mode_vector(record: ModeState, time_boot_ms: int) -> list[Any | None]:
 
 """
 
-_ROW = "    MessageOutput(ModeState, mode_vector, lambda settings: 10.0),\n"
+_ROW = "    MessageOutput(ModeState, mode_vector, lambda _: 10.0),\n"
 
 _PUBLISH_ONE = """
 import numpy as np

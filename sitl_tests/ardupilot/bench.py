@@ -33,7 +33,7 @@ _END_S = 15.0
 
 @dataclass
 class Run:
-    """What is being flown. Use as a context manager.
+    """The flight under way. Use as a context manager.
 
     ``start_ns`` is the host time at which the autopilot's boot clock was 0, ``flight_ns`` that of the flight's first
     instant, which :meth:`launch` sets.

@@ -1,4 +1,4 @@
-"""What a run left behind, read for the tests: the service's recording, the autopilot's log, its boot clock."""
+"""Evidence that a run leaves, read for the tests: the service's recording, the autopilot's log, its boot clock."""
 
 from __future__ import annotations
 

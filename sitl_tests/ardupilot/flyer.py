@@ -89,7 +89,7 @@ class Flyer:
 
     @property
     def ranges(self) -> RangeFaults:
-        """What is wrong with the ranges."""
+        """Faults of the ranges, a sentence each."""
         return self._stub.faults
 
     def when(self, condition: Callable[[], bool], action: Callable[[], None]) -> None:

@@ -30,7 +30,7 @@ _LONGEST_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What was achieved: shares on time, and the longest time without a frame or a tick."""
+    """Pace that was achieved: shares on time, and the longest time without a frame or a tick."""
 
     frames: float
     ticks: float

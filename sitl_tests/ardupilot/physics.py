@@ -49,7 +49,7 @@ _LISTEN_NS = 50_000_000
 
 @dataclass(frozen=True, slots=True)
 class PhysicsOptions:
-    """What is flown, and who is told; picklable.
+    """The flight, and who is told of it; picklable.
 
     Attributes
     ----------
@@ -246,7 +246,7 @@ class Physics:
         self._socket.close()
 
     def report(self) -> dict[str, Any]:
-        """What happened, as plain values."""
+        """Course of a flight, as plain values."""
         return {
             "start_ns": self.start_ns,
             "flight_ns": self.flight_ns,

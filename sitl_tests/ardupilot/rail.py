@@ -24,7 +24,7 @@ _TAIL = _RC + ',"battery":{"voltage":12.6,"current":1},"no_time_sync":1}\n'
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the autopilot's sensors stand on, at ``n`` frames: NED position and velocity, Euler angles, FRD rates."""
+    """Motion of the autopilot's sensors, at ``n`` frames: NED position and velocity, Euler angles, FRD rates."""
 
     gyro_radps: Floats
     specific_force_mps2: Floats

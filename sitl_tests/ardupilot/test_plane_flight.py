@@ -156,7 +156,7 @@ def test_every_range_sent_is_one_that_was_just_measured(flown: Flown) -> None:
 
 
 def test_the_autopilot_repeats_our_range_as_its_rangefinder(flown: Flown) -> None:
-    """What it echoes is what we sent just before, to the centimetre."""
+    """Its echo is the distance sent just before, to the centimetre."""
     used = [e for e in flown.echo if e.message.signal_quality > 1]
     assert len(used) > 20
     for entry in used:

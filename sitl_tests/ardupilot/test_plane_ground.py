@@ -30,7 +30,7 @@ RECORDED_S = 25.0
 
 @dataclass
 class Ground:
-    """What was done, and what came of it."""
+    """Steps on the ground, and their results."""
 
     run: Run
     refused: list[str] = field(default_factory=list)
@@ -90,7 +90,7 @@ def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
 
 
 def prearm_texts(run: Run) -> list[str]:
-    """What the autopilot has against arming now; while it starts up it has no more to say than that."""
+    """Objections of the autopilot to arming now; while it starts up it has no more to say than that."""
     for _ in range(20):
         began = time.monotonic_ns()
         run.station.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)

@@ -70,7 +70,7 @@ def nearest_ahead_m(sectors: ObstacleSectors) -> float | None:
 
 
 def sent_ahead(flown: Flown) -> list[tuple[int, float]]:
-    """What the service's own recording shows as sent: instants of exposure, and distances ahead in metres."""
+    """Obstacles that the service's own recording shows as sent: instants of exposure, and distances ahead in metres."""
     sent = [(s.t_host_ns, nearest_ahead_m(s)) for s in flown.tape.of(ObstacleSectors)]
     sent += [(r.t_host_ns, r.range_m) for r in flown.tape.of(CorrectedRange) if r.trusted]
     return [(at_ns, distance_m) for at_ns, distance_m in sent if distance_m is not None]

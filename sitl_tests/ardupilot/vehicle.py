@@ -40,7 +40,7 @@ CAMERAS: Mapping[str, float] = {f"SERVO{channel}_FUNCTION": _CAMERA_TRIGGER for 
 
 
 def keep_pace(process: int) -> None:
-    """Let a process answer within its frame on a busy machine: real-time priority, where we may give it.
+    """Allow a process to answer within its frame on a busy machine: real-time priority, where we may give it.
 
     Autopilot and physics take turns 1200 times a second and sleep in between.
     """

@@ -40,7 +40,7 @@ _HEIGHTS = np.array([1.0, 0.7, 0.4, 0.25, 0.15])
 
 @dataclass(frozen=True)
 class CameraFault:
-    """What befalls the cameras: a knock about any axis or the toe's, ``at_s`` or any time; a share of late stamps."""
+    """Faults of the cameras: a knock about any axis or the toe's, ``at_s`` or any time; a share of late stamps."""
 
     name: str
     knock_rad: float = 0.0
@@ -64,7 +64,7 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class View:
-    """What there is to see: how far, how rough, how many matches and how good."""
+    """The scene: how far, how rough, how many matches and how good."""
 
     range_m: float = 40.0
     relief_m: float = 0.0
@@ -163,7 +163,7 @@ class StruckCameras(Cameras):
         return np.column_stack([depth, scaled[:, 0], scaled[:, 1]])
 
     def _range_m(self, points: np.ndarray) -> float:
-        """What the product makes of exact depths."""
+        """Range of the product from exact depths."""
         sight = range_axis_of_rig(self._rig, orientation_axis(self.flight.airframe.orientation))
         depth = (points - sight.origin_m) @ sight.axis
         tangent = ((points - sight.origin_m) @ sight.across.T) / depth[:, np.newaxis]

@@ -43,7 +43,7 @@ S = 1_000_000_000
 
 
 def raise_between(monkeypatch: pytest.MonkeyPatch, from_s: float, until_s: float, most: int = 1000) -> list[int]:
-    """Let the tracker raise at every step between two instants of the flight, so often at most; give when it did."""
+    """Make the tracker raise at every step between two instants of the flight, so often at most; give when it did."""
     process_until, raised = WingTracker.process_until, []
 
     def raising(tracker: WingTracker, now_host_ns: int) -> Any:

@@ -58,7 +58,7 @@ class Loopback:
         return [record for _ in range(times) for record in self.pilot.poll(0.01)]
 
     def hear(self) -> list[Any]:
-        """What the adapter sent to the autopilot's port."""
+        """Bytes that the adapter sent to the autopilot's port."""
         found = []
         while select.select([self.sockets[1]], [], [], 0.02)[0]:
             found += self.parser.parse_buffer(self.sockets[1].recv(65536)) or []

@@ -87,7 +87,7 @@ def listening(held: Held) -> tuple[Link, int]:
 
 
 def read(link: Link, least: int = 1, within_s: float = 3.0) -> bytes:
-    """What arrives until ``least`` bytes are there."""
+    """Bytes that arrive until ``least`` bytes are there."""
     data, end = b"", time.monotonic() + within_s
     while len(data) < least and time.monotonic() < end:
         chunk = link.read()

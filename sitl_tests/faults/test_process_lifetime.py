@@ -274,7 +274,7 @@ def record_on_a_full_disk(folder: Path, room: int = 0) -> tuple[int, float]:
 
 @pytest.mark.parametrize("room", [0, 3])
 def test_a_disk_that_fills_up_is_told_and_the_next_file_is_tried(room: int, tmp_path: Path) -> None:
-    """What was written stays, what is empty does not, producers never wait, and the last one ends it."""
+    """A written file stays, an empty one does not, producers never wait, and the last one ends it."""
     said, longest_s = record_on_a_full_disk(tmp_path, room)
     assert said >= 2
     assert longest_s < STALL_S

@@ -188,7 +188,7 @@ def key_file(tmp_path: Path) -> Path:
 
 
 def stamped(path: Path, before: str = "") -> str:
-    """What the stamp file holds, once it holds something else than before."""
+    """Content of the stamp file, once it is another than before."""
     stamp = path.with_name("key.stamp")
     for _ in range(3000):  # the deadline of a hang: a busy disk may take seconds
         if stamp.exists() and stamp.read_text() != before:

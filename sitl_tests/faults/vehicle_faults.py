@@ -41,7 +41,7 @@ Meddle = Callable[[list[bytes], np.random.Generator], list[bytes]]
 
 @dataclass(frozen=True)
 class Fault:
-    """What strikes: the simulated vehicle's own faults, a hand on the frames that it sends, a blow to its cameras."""
+    """Faults: the simulated vehicle's own, a hand on the frames that it sends, a blow to its cameras."""
 
     name: str
     faults: Faults = field(default_factory=Faults)

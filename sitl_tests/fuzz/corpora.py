@@ -129,7 +129,7 @@ def matlab_files() -> list[bytes]:
 
 @functools.cache
 def pictures() -> dict[str, list[bytes]]:
-    """By suffix."""
+    """Encoded images, by suffix."""
     image = np.random.default_rng(2).integers(0, 256, (48, 64), dtype=np.uint8)
     files: dict[str, list[bytes]] = {}
     for suffix in (".png", ".jpg", ".bmp", ".tif", ".pgm"):

@@ -30,7 +30,7 @@ MS = 1_000_000
 
 @functools.cache
 def flight_frames() -> list[bytes]:
-    """What a simulated vehicle sends in two seconds: inertial samples, attitudes, clocks, parameters."""
+    """Two seconds of a simulated vehicle's link: inertial samples, attitudes, clocks, parameters."""
     service = SimulatedService(build_flight(load_airframe("nadir-2m"), 1, 4.0))
     frames: list[bytes] = []
     carry = service.wire.send

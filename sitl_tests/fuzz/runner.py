@@ -43,7 +43,7 @@ class Finding:
 
 @dataclass(slots=True)
 class Result:
-    """What came of a target's cases; ``slowest_s`` is the most processor time of one case."""
+    """Outcome of a target's cases; ``slowest_s`` is the most processor time of one case."""
 
     target: str
     cases: int = 0
@@ -55,7 +55,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What the child says of a case."""
+    """Word of the child on a case."""
 
     number: int
     ending: str = ""
@@ -149,7 +149,7 @@ class _Child:
         raise RuntimeError(f"the target does not start: code {self._process.exitcode}")
 
     def next_case(self) -> _Told:
-        """Let one case run and say how it ended."""
+        """Run a single case and say how it ended."""
         number = self._number
         self._number += 1
         try:
@@ -234,7 +234,7 @@ class _Alarm:
 
 
 def _be_quiet() -> None:
-    """What libraries say of damaged files belongs to nobody."""
+    """Silence the libraries: their words on damaged files belong to nobody."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)

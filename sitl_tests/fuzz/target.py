@@ -1,4 +1,4 @@
-"""What is fuzzed: a target makes an input from a random generator and runs it."""
+"""Target of the fuzzer, which makes an input from a random generator and runs it."""
 
 from __future__ import annotations
 

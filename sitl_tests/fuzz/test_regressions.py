@@ -1,4 +1,4 @@
-"""What fuzzing broke, each input made by code: it ends in data or in one sentence, at once."""
+"""Inputs that fuzzing broke something with, each input made by code: it ends in data or in one sentence, at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user writes: airframes, mappings, settings, layouts, and the names of cameras and triggers."""
+"""Texts that a user writes: airframes, mappings, settings, layouts, and the names of cameras and triggers."""
 
 from __future__ import annotations
 

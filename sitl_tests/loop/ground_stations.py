@@ -231,7 +231,7 @@ class Air:
         self._beat_ns = 0
 
     def run(self, seconds: float) -> list[Record]:
-        """Let time pass; give the companion's records of it."""
+        """Pass time; give the companion's records of it."""
         start, end = len(self.records), self.clock.now + round(seconds * S)
         while self.clock.now < end:
             self._downward()

@@ -66,7 +66,7 @@ class Cameras:
         return []
 
     def seen(self) -> list[Record]:
-        """What vision has ready by now."""
+        """Matches that vision has ready by now."""
         ready: list[Record] = []
         while self.coming and self.coming[0].matched_host_ns <= self.clock.now_ns():
             ready.append(self.coming.popleft())

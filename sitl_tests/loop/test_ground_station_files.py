@@ -27,7 +27,7 @@ ROWS = list(tunables())
 
 
 class Master:
-    """What pymavlink's client takes for a connection: a station in our air."""
+    """Connection for pymavlink's client: a station in our air."""
 
     source_system, source_component = 255, 190
 

@@ -47,7 +47,7 @@ class Sdk(Station):
 
 @contextlib.contextmanager
 def in_real_time(air: Air) -> Iterator[None]:
-    """Let simulated time run with the real one, for a client that keeps its own."""
+    """Run simulated time with the real one, for a client that keeps its own."""
     stop = threading.Event()
 
     def run() -> None:

@@ -235,7 +235,7 @@ def test_a_station_that_comes_back_after_silence_is_greeted_again() -> None:
 
 
 def _flood(air: Air, components: range) -> int:
-    """Let 249 invented systems with each of these components say hello; give the memory that is in use afterwards."""
+    """Make 249 invented systems with each of these components say hello; give the memory that is in use afterwards."""
     for component in components:
         for system in range(1, 250):
             packer = mavlink.MAVLink(None, system, component)

@@ -1,4 +1,4 @@
-"""What a vehicle says of itself and cannot be so: said once, with the range, and not used; the ranges go on."""
+"""Implausible parameters of a vehicle: told once, with the range, and not used; the ranges go on."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ SWEEP = ("--heights=40", "--length=250", "--bearing=0")
 
 
 def samples(stage: Stage) -> Counter[Station]:
-    """What our reader finds in the tap's recording."""
+    """Records that our reader finds in the tap's recording."""
     recording = open_recording(stage.folder / "flight.tlog", load_airframe(str(stage.airframe_path)))
     counts: Counter[Station] = Counter()
     for record in recording.records():

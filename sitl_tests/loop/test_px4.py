@@ -36,7 +36,7 @@ def service(flight: Flight) -> Iterator[SimulatedService]:
 
 
 def test_means_are_of_the_interval_that_ends_at_the_stamp() -> None:
-    """Of a straight line the mean is the value half an interval before the end."""
+    """The mean of a straight line is its value half an interval before the end."""
     line = np.arange(1000.0)[:, None] * np.ones(6)
     for rate_hz in (100, 200, 250, 500):
         means = interval_means(line, round(1e9 / rate_hz))

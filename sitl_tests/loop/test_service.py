@@ -29,7 +29,7 @@ def service() -> Iterator[SimulatedService]:
 
 
 def toe_mrad(range_m: Any) -> Any:
-    """What a range error amounts to as relative toe: B (1/Z - 1/Z_true)."""
+    """Relative toe that a range error amounts to: B (1/Z - 1/Z_true)."""
     return 1e3 * BASELINE_M * (1.0 / np.asarray(range_m) - 1.0 / GROUND_M)
 
 

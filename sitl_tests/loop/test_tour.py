@@ -63,7 +63,7 @@ def run(command: str, folder: Path, timeout_s: float) -> tuple[int, str]:
 
 
 def until(process: subprocess.Popen[str], pattern: str, timeout_s: float) -> str:
-    """What a process says until it says this; whatever it says, if it never does."""
+    """Output of a process up to this text; all of it, if the text never comes."""
     assert process.stdout is not None
     said, ends_s = "", time.monotonic() + timeout_s
     while not re.search(pattern, said) and time.monotonic() < ends_s:

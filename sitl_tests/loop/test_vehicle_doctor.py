@@ -297,7 +297,7 @@ def test_copters_need_proximity_and_planes_have_none() -> None:
 
 
 def pictures(left: int, right: int = 0) -> dict[int, set[int]]:
-    """Of cameras 0 and 1, as ArduPilot numbers them."""
+    """Image numbers of cameras 0 and 1, as ArduPilot numbers these."""
     return {0: set(range(left)), **({1: set(range(right))} if right else {})}
 
 

@@ -1,4 +1,4 @@
-"""What ``spanwise simulate`` flies, manoeuvres and all, ``spanwise diagnose`` understands."""
+"""Flights of ``spanwise simulate``, manoeuvres and all, as ``spanwise diagnose`` understands them."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def torn(rows: Floats) -> Floats:
 
 @pytest.mark.slow
 def test_a_fuselage_that_recoils_is_no_fault() -> None:
-    """What the root sensor shows of the wing's own bending is neither a load nor a leak."""
+    """The wing's own bending in the root sensor is neither a load nor a leak."""
     hand = GENERATORS["stranger"]
     label = hand.hide([], (8.0, 14.0), np.random.default_rng(1), 20.0)
     (tables,) = hand.fly([label], [20.0], 1, 30.0, [0.0])

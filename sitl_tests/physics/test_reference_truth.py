@@ -171,7 +171,7 @@ def test_chunks_hold_every_sample_once_on_the_host_clock() -> None:
 
 
 def silent(y_m: float) -> SensorSpec:
-    """What is known to this sensor is known through its biases."""
+    """Sensor so quiet that its biases limit what it tells."""
     return SensorSpec(y_m, accel_noise_mps2_rthz=2e-5)
 
 

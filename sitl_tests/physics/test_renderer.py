@@ -46,7 +46,7 @@ def _pixels(shape: tuple[int, int]) -> np.ndarray:
 
 
 def _shifts(reference: np.ndarray, other: np.ndarray, where: np.ndarray, block: int = 24) -> np.ndarray:
-    """By how many pixels (x, y) ``other`` lies beside its predicted place ``where`` in each block, (n, 2).
+    """Offset in pixels (x, y) of ``other`` from its predicted place ``where`` in each block, (n, 2).
 
     One least-squares step on the mean of both gradients, which near zero is unbiased; blocks that leave either image
     are left out. ``where`` (rows, columns, 2) are the places in ``other`` of the reference's pixels.

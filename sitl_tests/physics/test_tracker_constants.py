@@ -1,4 +1,4 @@
-"""What the filter says of its own constants in level flight: slope factors are where they say they are."""
+"""The filter's own constants in level flight: slope factors are where they say they are."""
 
 from __future__ import annotations
 

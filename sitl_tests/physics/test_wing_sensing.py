@@ -1,4 +1,4 @@
-"""What a tip sensor sees, against signed closed forms and against points carried through space by hand."""
+"""A tip sensor's readings against signed closed forms and against points carried through space by hand."""
 
 from __future__ import annotations
 

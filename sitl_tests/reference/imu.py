@@ -1,4 +1,4 @@
-"""What the three inertial sensors send: the specific force and rate at a bending station, with every sensor error.
+"""Samples of the three inertial sensors: the specific force and rate at a bending station, with every sensor error.
 
 A sample is the average over its millisecond (an integrating IMU), stamped at the middle of it.
 """

@@ -1,4 +1,4 @@
-"""What a truth is made of: modes, gust, rigid motion, sensors and the priors that their errors are drawn from."""
+"""Ingredients of a truth: modes, gust, rigid motion, sensors and the priors that their errors are drawn from."""
 
 from __future__ import annotations
 

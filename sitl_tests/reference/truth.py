@@ -20,7 +20,7 @@ SEGMENT_S = 0.02  # a drifting frequency is held for so long
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """What was drawn from the priors, per seed; stations in the order root, left, right."""
+    """Draws from the priors, per seed; stations in the order root, left, right."""
 
     slope_ratio: Floats  # (S, modes)
     trim_m: Floats  # (S,) added to the believed trim bend
@@ -118,7 +118,7 @@ def simulate(spec: TruthSpec, seeds: tuple[int, ...]) -> TruthRun:
 
 
 def frequency_factor(spec: TruthSpec, number: int, t_s: float) -> float:
-    """By what a drifting first mode's frequency is multiplied in the segment that holds ``t_s``."""
+    """Factor of a drifting first mode's frequency in the segment that holds ``t_s``."""
     if number > 1 or not spec.drift_per_s:
         return 1.0
     middle = (np.floor(t_s / SEGMENT_S + 1e-6) + 0.5) * SEGMENT_S

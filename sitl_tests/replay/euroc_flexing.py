@@ -43,7 +43,7 @@ def euroc_airframe(folder: Path) -> Airframe:
 
 
 def turn_image(image: np.ndarray, rig: Rig, turn_rad: np.ndarray) -> np.ndarray:
-    """What the right camera would have seen, turned by a rotation vector in its own axes: exact but for resampling."""
+    """The right camera's image if it were turned by a rotation vector in its own axes: exact but for resampling."""
     lens = rig.right.lens
     columns, rows = np.meshgrid(np.arange(lens.size_px[0], dtype=float), np.arange(lens.size_px[1], dtype=float))
     rays = lens.unproject(np.column_stack([columns.ravel(), rows.ravel()]))

@@ -269,7 +269,7 @@ def test_other_settings_are_a_different_flight_and_are_not_compared(
 
 
 def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What the bytes decode to is decoded again: leaving the recorded samples out changes no mode state."""
+    """Samples are decoded again from the bytes: leaving the recorded samples out changes no mode state."""
     bare = tmp_path / "bare.mcap"
     writer = McapWriter(bare, About.of(load_airframe("nadir-2m"), Settings()))
     for record in flown.records:
@@ -283,7 +283,7 @@ def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: py
 
 
 def test_refusals_by_the_devices_are_inputs_and_our_own_are_made_again() -> None:
-    """What the trigger process could not fire is counted by the pipeline; only the recording knows of it."""
+    """Plans that the trigger process could not fire are counted by the pipeline; only the recording knows of them."""
     told = [Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)]
     made = [Rejected(reason, "left samples", 8) for reason in (Reject.CLOCK_UNSYNCED, Reject.STALE, Reject.TOO_LATE)]
     records: list[Record] = [*told, *made, Tick(9)]

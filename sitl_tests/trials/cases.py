@@ -210,7 +210,7 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
 
 
 def participation(strength: tuple[float, float], ratio: float, rng: np.random.Generator) -> float:
-    """Of a mode beside the first, as strong as asked, or evenly up to where no participation makes it stronger."""
+    """Participation of a mode beside the first: as strong as asked, or evenly up to where none makes it stronger."""
     sigmas = _beside(ratio)
     low, high = (min(end, sigmas[-1]) for end in strength)
     return float(np.interp(rng.uniform(low, high), sigmas, CLOSE[0]))
@@ -222,7 +222,7 @@ def _beside(ratio: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Hidden:
-    """What one trial hides: names with magnitudes, and the seal that is told beforehand."""
+    """Effects that a trial hides: names with magnitudes, and the seal that is told beforehand."""
 
     effects: dict[str, float]
     side: int = 1

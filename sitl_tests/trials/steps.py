@@ -22,7 +22,7 @@ def _compiled(function: Callable[..., None]) -> Callable[..., None]:
 
 
 class Laws(NamedTuple):
-    """What moves each of n trials' wings; every entry (n,) but where it says otherwise."""
+    """Motion of each of n trials' wings; every entry (n,) but where it says otherwise."""
 
     spring: Array  # (2, n)
     drag: Array  # (2, n)

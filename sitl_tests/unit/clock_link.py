@@ -57,7 +57,7 @@ class Link:
 
 @dataclass
 class Flight:
-    """What a bank said during a flight of exchanges at 10 Hz and samples at 1 kHz in batches of 20."""
+    """Answers of a bank during a flight of exchanges at 10 Hz and samples at 1 kHz in batches of 20."""
 
     error_ns: list[int] = field(default_factory=list)
     bound_ns: list[int] = field(default_factory=list)

@@ -44,7 +44,7 @@ def _truth(moving: bool = True) -> tuple[Floats, Floats, Floats]:
 
 @functools.cache
 def _answers() -> dict[int, list[PhaseEstimate | Reject]]:
-    """What is said at each sample of the phase now and ten samples later."""
+    """Estimates at each sample of the phase now and ten samples later, by lead."""
     return _follow(_truth()[0], (0, 10))
 
 

@@ -104,7 +104,7 @@ def _in_sigmas(fit: RigFit) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
 def test_the_rig_comes_back_within_its_sigmas(kind: str) -> None:
-    """Of 24 parameters, which are partly one (focal lengths, baseline), none is off by four sigma."""
+    """None of 24 parameters, partly the same (focal lengths, baseline), is off by four sigma."""
     fit = _fit(kind)
     assert len(fit.views) >= 8
     assert fit.error_px < 0.1

@@ -119,7 +119,7 @@ def test_the_library_s_clock_is_the_host_s() -> None:
 
 
 def test_no_pipeline_of_ours_calibrates_the_device(videos: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    """By itself the library would, at each start of a pipeline with a calibrated pair, and write it to the device."""
+    """The library would by itself, at each start of a pipeline with a calibrated pair, and write it to the device."""
     off = dai.Pipeline.AutoCalibrationMode.OFF
     assert dai.Pipeline(createImplicitDevice=False).getAutoCalibrationMode() is not off, "the library's own way"
     replayed = OakReplayPair(*videos, OakTiming())

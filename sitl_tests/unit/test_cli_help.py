@@ -1,4 +1,4 @@
-"""What the command line says of itself: its version, and the effects it knows."""
+"""The command line on itself: its version, and the effects it knows."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_arrivals_alone_bound_the_clock_by_the_longest_delay() -> None:
 
 
 def heave(flight: Flight, station: Station, from_s: float) -> Lag | None:
-    """What the vertical specific force of one wing tip says of its lag, which is 0: true stamps, known filters."""
+    """Lag by the vertical specific force of a wing tip, which is 0: true stamps, known filters."""
     streams, sensor, clock = flight.streams(), flight.airframe.sensor(station), flight.real.clocks[node_clock(station)]
     stream, root = streams[station], streams[Station.ROOT]
     node_s = (stream.stamp_ns - clock.epoch_ns) / (1 + clock.skew_ppm * 1e-6) * 1e-9 - from_s + SHIFT_S

@@ -94,7 +94,7 @@ def test_a_restart_never_stamps_wrongly_and_relocks_within_three_seconds(seed: i
 
 
 def _swing_ns(bank: ClockBank, link: Link) -> int:
-    """By how much the error of the stamps moves in the ten seconds from the first on."""
+    """Change of the stamps' error in the ten seconds from the first on."""
     flight = fly(bank, link, duration_s=12)
     error = np.concatenate(flight.stamps) - np.concatenate(flight.true)
     return int(np.ptp(error))
@@ -231,7 +231,7 @@ def test_a_clock_that_falls_behind_for_a_moment_has_not_restarted(begins_s: floa
 
 
 def _standing(link: Link, rng: np.random.Generator) -> Callable[[int], int]:
-    """Let the link's clock stand once a second; give the clock as it would run."""
+    """Make the link's clock stand once a second; give the clock as it would run."""
     steady = link.remote
     begins = link.start_ns + np.arange(60) * S + rng.integers(0, S, 60)
     ends = begins + rng.integers(2 * MS, 10 * MS, 60)

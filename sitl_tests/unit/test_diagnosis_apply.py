@@ -1,4 +1,4 @@
-"""What a diagnosis found, in the airframe file and read back by everything that knows airframes."""
+"""Effects that a diagnosis names, in the airframe file and read back by everything that knows airframes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def batch_of(station: Station) -> ImuBatch:
 
 @pytest.mark.parametrize("name", ["accel-scale", "accel-bias"])
 def test_a_named_error_of_a_sensor_is_out_of_what_the_tracker_gets(name: str) -> None:
-    """What the effect has done to true samples is undone, on its side, and nothing on the other."""
+    """The effect's change of true samples is undone, on its side, and nothing on the other."""
     first, second = (entry.name for entry in catalogue()[name].parameters())
     applied = with_effect(name, **{first: 0.0, second: 0.2})
     true = batch_of(Station.RIGHT)

@@ -173,7 +173,7 @@ def test_the_linear_part_of_a_cubic_spring_is_its_mean_slope(model: WingModel, c
 
 @pytest.mark.parametrize("kappa", [3e-4, -5e-5])
 def test_a_bent_characteristic_is_undone(kappa: float) -> None:
-    """Of a + kappa a^3 the first-order inverse a - kappa a^3 is wrong by 3 kappa^2 a^5; the samples come back."""
+    """The first-order inverse a - kappa a^3 of a + kappa a^3 is wrong by 3 kappa^2 a^5; the samples come back."""
     rng, m = np.random.default_rng(4), 4000
     up = 10.0 * np.tanh(rng.standard_normal(m))
     up -= up.mean()
@@ -209,7 +209,7 @@ def test_how_much_a_gaussian_was_bent_is_told_without_bias(kappa: float) -> None
 
 
 def test_laws_of_a_sensor_are_undone_one_after_the_other() -> None:
-    """Of c(b(a)) the last is undone first: what is left of a is nothing."""
+    """The last of c(b(a)) is undone first: what is left of a is nothing."""
     rng, m = np.random.default_rng(7), 4000
     up = rng.uniform(-25.0, 25.0, m)
     once = up + 2e-4 * up**3

@@ -151,7 +151,7 @@ def test_what_samples_show_is_not_seen_in_good_ones(kind: type[Effect]) -> None:
 
 
 def test_a_fast_second_mode_takes_hold_of_a_friction() -> None:
-    """Of Gaussian speeds the mean slope of a dry friction is c sqrt(2 / pi) over the rms of the whole tip's speed."""
+    """A dry friction's mean slope under Gaussian speeds is c sqrt(2 / pi) over the rms of the whole tip's speed."""
     model = WingModel(load_airframe("nadir-2m").wing)
     second = next(k for k, slot in enumerate(model.structure.slots) if slot == 2)
     rng = np.random.default_rng(12)

@@ -1,4 +1,4 @@
-"""What `spanwise diagnose` says of recordings that cannot tell, and of tables on the bench, by the command line."""
+"""Answers of `spanwise diagnose` on recordings that cannot tell, and of tables on the bench, by the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has no name: parameters beyond their priors, peaks, growing spread, rival laws; and a mount that rings."""
+"""Nameless departures: parameters beyond their priors, peaks, growing spread, rival laws; and a mount that rings."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
 
 @pytest.mark.slow
 def test_a_tone_pays_once_for_the_frequencies_that_it_might_have_had() -> None:
-    """By the prior of its frequency: the Bayes factor is that of the two models."""
+    """The prior of its frequency counts: the Bayes factor is that of the two models."""
     up, t_s = drawn(TEXT, 13), np.arange(COUNT) / RATE_HZ
     up[:, 1] += 1.5 * np.sin(2.0 * np.pi * 17.3 * t_s)
     model = seen_by(TEXT, up)

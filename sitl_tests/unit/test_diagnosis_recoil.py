@@ -95,7 +95,7 @@ def test_a_window_of_a_recording_does_not_count_the_recoil_of_the_whole() -> Non
 
 
 def test_what_nature_has_one_way_has_half_a_prior_of_twice_the_density() -> None:
-    """Of a lag, which is never negative: the evidence is that of a whole normal prior and ln 2."""
+    """The evidence of a lag, which is never negative, is that of a whole normal prior and ln 2."""
     model = _stranger("accel-bias", 42)
     term = EffectTerm(catalogue()["mount-lag"].from_values({"lag_s": 1e-4}))
     fitted = fit([model], [term])

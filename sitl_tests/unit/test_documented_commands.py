@@ -27,7 +27,7 @@ _INCOMPLETE = ("the following arguments are required", "one of the arguments", "
 
 
 class Refused(Exception):
-    """What argparse would have said."""
+    """Words that argparse would have used."""
 
 
 def shown(text: str) -> list[tuple[str, bool]]:

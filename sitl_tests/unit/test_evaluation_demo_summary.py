@@ -36,7 +36,7 @@ def test_two_runs_are_compared_on_the_shots_that_both_judge_and_on_no_others() -
 
 
 def summary(ours: Shots, others: dict[str, Shots]) -> dict[str, Any]:
-    """What print_summary needs, with nothing in it but the tables."""
+    """Arguments of print_summary, with nothing in it but the tables."""
     ways = {"corrected": ours.ways["corrected"], "oracle": ours.ways["corrected"]}
     ways |= {name: other.ways["corrected"] for name, other in others.items()}
     met = {"value": 0.0, "limit": 1.0, "met": True}

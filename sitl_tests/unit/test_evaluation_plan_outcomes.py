@@ -1,4 +1,4 @@
-"""What became of the plans: every plan has one end, and it is the one that really came."""
+"""Outcomes of the plans: every plan has one end, and it is the one that really came."""
 
 from __future__ import annotations
 

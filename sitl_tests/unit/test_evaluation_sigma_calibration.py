@@ -1,4 +1,4 @@
-"""What a flight's summary says of its sigmas: an error that every range names is one sigma, whatever caused it."""
+"""Sigmas in a flight's summary: an error that every range names is one sigma, whatever caused it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the live view's door gives without the token."""
+"""Pages that the live view's door gives without the token."""
 
 from __future__ import annotations
 

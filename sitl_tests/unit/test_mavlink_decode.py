@@ -67,7 +67,7 @@ def refusals(records: list[Record]) -> dict[Reject, int]:
 
 
 def _standing(stream: Stream, *frames: bytes, t_ms: int) -> bool | None:
-    """What the next state of the vehicle says of the ground after these messages."""
+    """The next vehicle state's word on the ground after these messages."""
     air = mavlink.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0)
     attitude = mavlink.MAVLink_attitude_message(t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     found = [r for r in stream(*frames, packed(air), packed(attitude)) if isinstance(r, VehicleState)]

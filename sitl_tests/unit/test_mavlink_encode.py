@@ -1,4 +1,4 @@
-"""What leaves: always finite, always in range, and "no range" wherever a number would be a guess."""
+"""Messages that leave: always finite, always in range, and "no range" wherever a number would be a guess."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TIMES = st.integers(-(2**62), 2**62)
 
 
 def sent(message: Any) -> Any:
-    """What a receiver makes of the message: packed and parsed by pymavlink."""
+    """The message as a receiver has it: packed and parsed by pymavlink."""
     frame = message.pack(mavlink.MAVLink(None, 1, 191))
     (received,) = mavlink.MAVLink(None).parse_buffer(frame)
     return received
@@ -130,7 +130,7 @@ def test_the_circle_is_full_in_body_axes_and_tells_unknown_from_clear() -> None:
 
 
 def ardupilots_faces_m(message: Any) -> list[float | None]:
-    """What AP_Proximity_MAV::handle_obstacle_distance_msg leaves of a message: the nearest in each 45 degrees.
+    """A message as AP_Proximity_MAV::handle_obstacle_distance_msg leaves it: the nearest in each 45 degrees.
 
     Written after its loop: a face is stored when the next one begins, and stored again if it comes a second time.
     """

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, get_args
 
 import pytest
 
 from companion.adapters.mavlink.component import message_outputs
 from companion.adapters.mavlink.component.message_outputs import MessageOutput, OutputPublisher
 from companion.params.settings import Settings
-from companion.records import CorrectedRange
+from companion.records import CorrectedRange, Firing, OutputRecord, TriggerPlan
 
 MS = 1_000_000  # ns
 SETTINGS = Settings()
@@ -17,6 +18,10 @@ SETTINGS = Settings()
 
 def a_range(at_ms: int, *, trusted: bool) -> CorrectedRange:
     return CorrectedRange(1, 1, at_ms * MS, 25, 40.0, 0.1, 0.004, 1e-4, 35.0, 50, trusted, None)
+
+
+def a_plan(at_ms: int) -> TriggerPlan:
+    return TriggerPlan(1, Firing.PEAK, (at_ms + 30) * MS, (at_ms + 40) * MS, 0, 0.5, (at_ms + 40) * MS, at_ms * MS)
 
 
 def published(monkeypatch: pytest.MonkeyPatch, nothing: list[Any], ranges: list[CorrectedRange]) -> list[int | None]:
@@ -45,3 +50,18 @@ def test_refusals_keep_the_rate_of_their_row(monkeypatch: pytest.MonkeyPatch) ->
     """A state that is not finite is counted as often as a finite one would be sent, not with every record."""
     ranges = [a_range(1000 + 20 * k, trusted=False) for k in range(11)]
     assert published(monkeypatch, [None], ranges) == [None] * 3
+
+
+def test_every_output_record_has_an_instant() -> None:
+    """One without would be sent once, with the vehicle's boot for its time."""
+    instants = set(message_outputs._STAMPS)
+    kinds = get_args(OutputRecord)
+    assert [kind for kind in kinds if not instants & {field.name for field in dataclasses.fields(kind)}] == []
+
+
+def test_a_plan_is_stamped_when_it_was_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = MessageOutput(TriggerPlan, lambda record, time_boot_ms: [time_boot_ms], lambda _: 10.0)
+    monkeypatch.setattr(message_outputs, "OUTPUTS", (row,))
+    publisher = OutputPublisher()
+    sent = [message for k in range(6) for message in publisher.messages(a_plan(1000 + 40 * k), SETTINGS, 5 * MS)]
+    assert sent == [1005, 1125]

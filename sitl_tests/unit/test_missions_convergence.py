@@ -21,7 +21,7 @@ BASE_M = 1.98
 
 
 def read(known_m: float, toe_rad: float, scale: float = 1.0) -> float:
-    """What is published at a distance: 1/Z' = (1/Z + theta/B)/scale."""
+    """Published range at a distance: 1/Z' = (1/Z + theta/B)/scale."""
     return scale / (1.0 / known_m + toe_rad / BASE_M)
 
 

@@ -142,7 +142,7 @@ class HostDevice(dai.node.ThreadedHostNode):  # type: ignore[misc, name-defined]
 
 
 class HostPair(QueuePair):
-    """What :class:`OakPair` is with a device, with the host node in its place."""
+    """:class:`OakPair` as with a device, with the host node in its place."""
 
     def __init__(self, line: SoftLine) -> None:
         super().__init__(OakTiming(external=True))

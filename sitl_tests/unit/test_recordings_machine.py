@@ -1,4 +1,4 @@
-"""What a recording says of the machine that made it."""
+"""A recording's word on the machine that made it."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def test_a_damaged_stamp_within_a_batch_costs_itself_alone() -> None:
 
 
 def test_a_telemetry_log_is_read_on_behind_a_pause(tmp_path: Path) -> None:
-    """What came more than an hour after the frame before was stepped over to the end of the file."""
+    """Frames that came more than an hour after the frame before were stepped over to the end of the file."""
     first, again = (
         telemetry.flight(2.0),
         telemetry.flight(2.0, 30.0 + 5 * HOUR_S, telemetry.UTC_US + 5 * HOUR_NS // 1000),

@@ -27,7 +27,7 @@ ABOUT = About.of(load_airframe("nadir-2m"), Settings())
 
 
 def collect(end: socket.socket) -> list[object]:
-    """What a recorder would write, until the producer ends."""
+    """Records that a recorder would write, until the producer ends."""
     outlet, records = RecorderReceiver(end), []
     while True:
         batch = outlet.receive()

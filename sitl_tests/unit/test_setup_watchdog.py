@@ -1,4 +1,4 @@
-"""What systemd hears of the service: ready once, alive while the inertial loop turns, nothing while it does not."""
+"""Messages of the service to systemd: ready once, alive while the inertial loop turns, nothing while it does not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the worlds draw beside the wing: attitude and velocity that the autopilot tells, heat at the cameras, stamps."""
+"""Draws of the worlds beside the wing: attitude and velocity that the autopilot tells, heat at the cameras, stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scene leaves out because no ray can reach it is never what a ray would have hit."""
+"""A scene leaves out only what no ray would have hit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What contradicts itself is not trusted: knocked cameras, late stamps, a misled tracker; and real surfaces are."""
+"""Contradictions are not trusted: knocked cameras, late stamps, a misled tracker; and real surfaces are."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Told:
 
 @dataclass(frozen=True)
 class Strike:
-    """What befalls one pair."""
+    """Faults of a pair."""
 
     turned_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the right camera, body axes
     range_m: float = 60.0
@@ -111,7 +111,7 @@ def test_without_a_fault_every_range_from_the_third_on_is_trusted() -> None:
 
 
 def test_poor_matches_at_eighty_metres_are_trusted_too() -> None:
-    """What chance leaves in the innovation is no reason to doubt: the ranges' sigma is 1 % here, the limit 3 %."""
+    """Chance in the innovation is no reason to doubt: the ranges' sigma is 1 % here, the limit 3 %."""
     for seed in range(3):
         ranges, said = flown(lambda k: Strike(range_m=80.0, match_px=0.3, matches=100), seed)
         assert np.mean([entry.trusted for entry in ranges[2:]]) > 0.95

@@ -151,7 +151,7 @@ def test_a_fast_error_with_memory_is_not_averaged_away(rig: Rig) -> None:
 
 
 def _axes(rig: Rig) -> LensAxes:
-    """Of both cameras at rest, epipolar frame."""
+    """Lens axes of both cameras at rest, epipolar frame."""
     frame = epipolar_frame(rig)
     return LensAxes.exposed(rest_exposures(rig), frame).in_frame(frame)
 

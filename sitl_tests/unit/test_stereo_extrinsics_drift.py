@@ -189,7 +189,7 @@ def test_an_error_of_scale_of_the_fast_bend_is_learnt_over_pairs() -> None:
 
 
 def _last_yaw_sigma(sigmas_rad: list[float], use_matches: bool) -> float:
-    """Of a slow bend whose stated sigma goes through a list, pair by pair; ``use_matches`` is for the last pair."""
+    """Yaw sigma under a slow bend whose stated sigma goes through a list; ``use_matches`` is for the last pair."""
     airframe = _lasting(nadir(rotation_sigma_rad=1e-7))
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     for k, sigma_rad in enumerate(sigmas_rad):

@@ -434,7 +434,7 @@ def test_an_accuracy_that_is_lost_makes_the_velocity_no_better(stated_mps: float
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_a_recording_keeps_the_flow_to_the_bit(count: int) -> None:
-    """What the matches of a pair say of the pair before is read as it was written; so is that they say nothing."""
+    """The flow in a pair's matches is read as it was written; so is its absence."""
     px = np.random.default_rng(5).uniform(0, 600, (4, 2))
     host = (ClockName.HOST, ClockName.HOST)
     without = MatchSet(7, 8, host, np.array([1, 2]), 3, 0, px, px + 0.1, np.full(4, 0.02), 9)

@@ -1,4 +1,4 @@
-"""What the vision process does beside matching: live range limits, and frames chosen where nobody triggers."""
+"""The vision process beside matching: live range limits, and frames chosen where nobody triggers."""
 
 from __future__ import annotations
 

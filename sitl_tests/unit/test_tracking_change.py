@@ -1,4 +1,4 @@
-"""What a filter knows when its wing's parameters change under way."""
+"""State of a filter when its wing's parameters change under way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fit expects of its channels where the wing is still: the sensors' noise, wherever it comes in."""
+"""Expected spectra of the fit's channels where the wing is still: the sensors' noise, wherever it comes in."""
 
 from __future__ import annotations
 

@@ -84,5 +84,5 @@ def test_lines_that_beat_stay_where_they_are(seed: int, apart_hz: float) -> None
 
 
 def noise_density(frequency_hz: Floats) -> Floats:
-    """Of a sensor with white noise."""
+    """Spectrum of a sensor with white noise."""
     return np.full(len(frequency_hz), 2.0 * STEP_S * SENSOR_MPS2**2)

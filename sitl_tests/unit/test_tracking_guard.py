@@ -1,4 +1,4 @@
-"""What keeps a wrong model from being believed: NIS, trial of parameters, stamps of held-up sends, warming up."""
+"""Guards against a wrong model: NIS, trial of parameters, stamps of held-up sends, warming up."""
 
 from __future__ import annotations
 

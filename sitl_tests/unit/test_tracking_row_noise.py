@@ -31,7 +31,7 @@ def predicted(noise: RowNoise, by_state: float) -> Floats:
 
 
 def learned(innovation: Floats, by_state: float = 1.0) -> RowNoise:
-    """What is learned in some seconds of a filter whose S is the noise and ``by_state``."""
+    """Noise that is learned in some seconds of a filter whose S is the noise and ``by_state``."""
     noise = RowNoise(BELIEVED)
     for part in np.split(innovation, SECONDS):
         S = predicted(noise, by_state)

@@ -1,4 +1,4 @@
-"""What the tracker keeps for trying new parameters: a filter, and the epochs since; as many as a trial needs."""
+"""Memory of the tracker for trying new parameters: a filter, and the epochs since; as many as a trial needs."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None
 
 
 def test_behind_the_restart_of_a_tip_s_clock_nothing_is_smoothed() -> None:
-    """What it sent before has another delay than what it sends now."""
+    """Samples that it sent before have another delay than those that it sends now."""
     tracker = WingTracker(plain_airframe(), Settings())
     for _ in _flown(tracker, 10.5, holes=True):
         pass

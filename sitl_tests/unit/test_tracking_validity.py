@@ -1,4 +1,4 @@
-"""What an estimate may be used for, reason by reason, and the level of a swing that is known."""
+"""Uses that an estimate is good for, reason by reason, and the level of a swing that is known."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from tools.trial_plan import strangers_acceptance
 
 
 def test_elements_ring_like_a_uniform_cantilever() -> None:
-    """Of unit stiffness, mass and length: (1.8751)^2, (4.6941)^2 rad/s."""
+    """Beam of unit stiffness, mass and length: (1.8751)^2, (4.6941)^2 rad/s."""
     count = 8
     stiffness, mass = (np.zeros((2 * count + 2, 2 * count + 2)) for _ in range(2))
     for i in range(count):

@@ -68,7 +68,7 @@ def distance_to_peak_ns(t_ns: int, hz: float, phase_rad: float = 0.0) -> float:
 
 
 class Line:
-    """What the trigger process does: newest plan wins, one shot per plan id, at the command's time."""
+    """The trigger process: newest plan wins, one shot per plan id, at the command's time."""
 
     def __init__(self) -> None:
         self.pending: TriggerPlan | None = None

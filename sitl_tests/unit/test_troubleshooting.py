@@ -27,7 +27,7 @@ def sentences_of_the_code() -> tuple[str, ...]:
 
 
 def quoted() -> list[str]:
-    """What stands between backticks in the first column."""
+    """Words between backticks in the first column."""
     rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| `")]
     return [sentence for row in rows for sentence in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
 

@@ -1,4 +1,4 @@
-"""What is installed: one package, complete without the checkout that it was built from."""
+"""The installation: one package, complete without the checkout that it was built from."""
 
 from __future__ import annotations
 

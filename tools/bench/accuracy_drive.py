@@ -25,7 +25,7 @@ _MARGIN_S = 0.004  # samples that have arrived beyond the newest processed insta
 
 @dataclass(slots=True)
 class Told:
-    """What the tracker said: deflections (n, 2) with trim, and their sigmas; NaN where it refused.
+    """Answers of the tracker: deflections (n, 2) with trim, and their sigmas; NaN where it refused.
 
     ``smoothed`` is at the instants themselves, told ``LAG_S`` later; ``slope`` is [left, right]. ``forecasts`` has one
     predicted curve (count,) in steps of 1 ms for each issue, None where refused.

@@ -142,7 +142,7 @@ def toe_error_rad(flight: Flight, folder: Path, airframe: Airframe) -> tuple[flo
 
 
 def focal_px(airframe: Airframe) -> float:
-    """Of the left camera; both are alike here."""
+    """Focal length of the left camera; both are alike here."""
     assert airframe.left_camera is not None
     return airframe.left_camera.focal_px.value
 

@@ -47,7 +47,7 @@ class FastTime(LockStepClock):
 
 @dataclass
 class Watched:
-    """What was known of the autopilot's clock, looked at every 5 ms; trips are of the epoch that is looked at."""
+    """Estimate of the autopilot's clock, looked at every 5 ms; trips are of the epoch that is looked at."""
 
     error_ns: list[int] = field(default_factory=list)
     bound_ns: list[int] = field(default_factory=list)

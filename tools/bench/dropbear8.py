@@ -68,7 +68,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What a tracker said at its steps: (k, leads) phases and sigmas, NaN where refused; (k,) index into the trial."""
+    """Answers of a tracker at its steps: (k, leads) phases and sigmas, NaN where refused; (k,) index into the trial."""
 
     at: npt.NDArray[np.int64]
     phase_rad: Floats

@@ -1,4 +1,4 @@
-"""What the live view costs the process that flies: nobody looks, a page is open, all is followed, nothing is read.
+"""Cost of the live view to the process that flies: nobody looks, a page is open, all is followed, nothing is read.
 
 A producer hands over the records of a flight (counts a second of the demo's recording) at twice its pace; figures are
 processor time of that process, its sending thread included, per second of flight, and the time that handing over one

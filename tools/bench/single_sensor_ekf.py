@@ -30,7 +30,7 @@ _FACTOR = (0.001, 30.0)
 
 @dataclass(frozen=True, slots=True)
 class Resonance:
-    """What is known of one resonance before it is seen.
+    """Prior of a single resonance.
 
     Attributes
     ----------

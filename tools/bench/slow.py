@@ -76,7 +76,7 @@ class Scored:
 
     @property
     def rms_mrad(self) -> float:
-        """Of the error."""
+        """Root mean square of the error."""
         return 1e3 * float(np.sqrt(np.mean(self.error_rad**2)))
 
     @property
@@ -256,7 +256,7 @@ def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Re
 
 
 def in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
-    """What the pipeline takes in, matches and ticks included, as it arrives."""
+    """Inputs of the pipeline, matches and ticks included, as they arrive."""
     arrivals = ((record.received_host_ns, 0, record) for record in flight_records(flight))
     images = ((matches.matched_host_ns, 1, matches) for matches in shots)
     last_ns = HOST_EPOCH_NS + round(flight.duration_s * _S)

@@ -141,7 +141,7 @@ def _framed(payload: bytes, packer: Any) -> bytes:
 
 
 def _samples(flight: Flight, station: Station, count: int) -> Floats:
-    """What a sensor read: a node's own samples; the fuselage's are the truth and the noise of its kind."""
+    """Readings of a sensor: a node's own samples; the fuselage's are the truth and the noise of its kind."""
     if station in flight.nodes:
         return flight.nodes[station].values[:count]
     truth = flight.truth.series(np.arange(1, count + 1, dtype=np.int64) * _MS)
@@ -166,7 +166,7 @@ def _chunks(frames: list[bytes]) -> list[RawChunk]:
 
 
 def _inputs(flight: Flight, chunks: list[RawChunk]) -> list[Record]:
-    """What the pipeline is given: decoded samples, answered exchanges and ticks, in order of time."""
+    """Inputs of the pipeline: decoded samples, answered exchanges and ticks, in order of time."""
     decoder = Decoder(_airframe(), 191)
     inputs: list[tuple[int, Record]] = []
     for chunk in chunks:

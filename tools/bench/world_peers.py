@@ -1,4 +1,4 @@
-"""What others do about a bending wing, on the same records: the peers of the worlds' campaign.
+"""Peers of the worlds' campaign: other ways with a bending wing, on the same records.
 
 Each gives the relative toe of every shot and shares nothing with the estimator: extrinsics from the matches of each
 pair alone (self-calibration by epipolar geometry, as stereo cameras' dynamic calibration does), a tilt filter of both

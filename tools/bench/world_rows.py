@@ -93,7 +93,7 @@ class CampaignRow:
         return dataclasses.replace(airframe, left=left, right=right)
 
     def plan(self) -> FlightPlan:
-        """What is flown."""
+        """The flight."""
         if self.accident.circuit:
             return circuit_plan(2.0 * DURATION_S)
         plan = demo_plan(DURATION_S)

@@ -26,7 +26,8 @@ def age_information(
     """Time update of the wandering bias parameters, in information form and in place.
 
     A first-order process: ``c_old = r c_new + noise``. The noise is marginalised; the state's dependence on it becomes
-    its own variance.
+    its own variance. ``accumulated`` is the information (1 + c, 1 + c), ``state_and_sensitivity`` (n + 1, 1 + c),
+    ``covariance`` (n, n); ``wandering`` has their columns (w,), ``sigma`` (c,) all stationary sigmas.
     """
     _age(accumulated, state_and_sensitivity, covariance, wandering, sigma, autocorrelation)
 
@@ -42,7 +43,8 @@ def marginalise(
 ) -> None:
     """Integrate one bias parameter out of information, sensitivities and covariance, in place.
 
-    Of a considered one nothing is learned: its prior alone says how uncertain it was.
+    Of a considered one nothing is learned: its prior alone says how uncertain it was. Shapes as in
+    :func:`age_information`; ``prior_information`` is one over the prior's variance.
     """
     if considered:
         accumulated[column, :], accumulated[:, column] = 0.0, 0.0
@@ -62,6 +64,7 @@ def solve_parameters(
 ) -> None:
     """Bias parameters and their covariance, in place; ``considered`` ones stay at their priors (Schmidt).
 
-    Not a number where the information is not positive definite or not finite: the filter has run away.
+    Not a number where the information (1 + c, 1 + c) is not positive definite or not finite: the filter has run away.
+    ``estimated`` and ``considered`` are indices into the parameters (c,), whose covariance is (c, c).
     """
     _solve(accumulated, sigma, estimated, considered, bias_parameters, covariance)

@@ -21,7 +21,6 @@ from companion.records import Ints
 
 _PLACES = ("root", "left", "right")
 _ERRORS = (*SENSOR_ERRORS, *ROOT_ERRORS)
-_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len(_ERRORS))
 EARLIER = 3  # chosen, epochs: past the root's smoothing over three, and most of what the roll rate's estimate remembers
 AVERAGED = 12  # chosen, epochs: 48 ms, in which a shaft's vibration averages out and a manoeuvre hardly changes
 _Z, _Y, _P, _P0 = Z_LEFT, Y_LEFT, P_LEFT, P_ROOT

@@ -63,7 +63,7 @@ class SampleRing:
         self._runs: list[tuple[Ints, Floats]] = []
 
     def add(self, t_ns: Ints, values: Floats) -> None:
-        """Take the samples that are newer than what is held."""
+        """Take the samples (n, 6) at stamps (n,) that are newer than what is held."""
         first = int(t_ns.searchsorted(self._newest_ns, side="right"))
         if first < len(t_ns):
             self._newest_ns = int(t_ns[-1])

@@ -120,9 +120,8 @@ def build_model(
     for family in layout.families:  # the path between two samples is not in what is made of samples
         load = q[family.v, family.v]
         between_samples = load * noise.sample_s**2 / (12.0 * step_s**4)
-        process_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += between_samples * np.eye(
-            2
-        )  # each tip's samples lie at instants of their own
+        # each tip's samples lie at instants of their own
+        process_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += between_samples * np.eye(2)
         # an epoch's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
         aliasing_variance += load * noise.sample_s / (3.0 * step_s**3)
     slope_matrix = slope_rows(layout)
@@ -279,10 +278,8 @@ def _measurement_rows(layout: StateLayout, lever_y_m: tuple[float, float], h: fl
     before, after = np.zeros((ROWS, layout.size)), np.zeros((ROWS, layout.size))
     roll_rate = [layout.roll_rate, layout.roll_accel]
     mean_before, mean_after = np.array([0.5, h / 12.0]), np.array([0.5, -h / 12.0])
-    for side, sense_of_rotation in (
-        (0, 1.0),
-        (1, -1.0),
-    ):  # a positive slope turns the left tip about +x, the right about -x
+    # a positive slope turns the left tip about +x, the right about -x
+    for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
         z, m, y, p = Z_LEFT + side, M_LEFT + side, Y_LEFT + side, P_LEFT + side
         for family in layout.families:
             for q, v, factor in _shape_terms(family):

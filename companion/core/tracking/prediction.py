@@ -61,7 +61,7 @@ class Forecaster:
     def run(
         self, kalman: SeparatedBiasFilter, newest_ns: int, body_rate: Floats, horizon_ns: int, step_ns: int
     ) -> Forecast:
-        """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
+        """Predict from the newest state in steps up to the horizon, ns; the body rate (3,), rad/s, is held."""
         count = max(int(horizon_ns // step_ns), 1)
         if kalman.model is not self._model or step_ns != self._step_ns or count > self._accumulated_Q.shape[2]:
             self._prepare(kalman.model, step_ns, count)

@@ -102,7 +102,7 @@ class ModalActivity:
         return self._rms
 
     def recent_rms_m(self) -> Floats:
-        """As :meth:`rms_m`, with an exponential memory of 0.3 s."""
+        """As :meth:`rms_m`, (2,), with an exponential memory of 0.3 s."""
         return np.sqrt(self._recent)
 
 
@@ -128,7 +128,7 @@ def classify_validity(
     parameters: tuple[ModeParameters, ModeParameters],
     ambiguous: bool,
 ) -> Validity:
-    """Validity of the estimate; the gravest reason wins."""
+    """Validity of the estimate; the gravest reason wins. ``rms_m`` (2,) is the vibration of both families."""
     if stale:
         return Validity.STALE
     if saturated:

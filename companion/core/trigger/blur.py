@@ -39,9 +39,8 @@ class GroundMotion:
     range_m: float = np.inf
 
 
-@dataclass(frozen=True, slots=True)
-class BlurForecast:
-    """Blur over a forecast's instants, each side at its own mid-exposure.
+class BlurForecast(NamedTuple):
+    """Blur over a forecast's instants, each side at its own mid-exposure; ``trigger_minima`` in C reads it as it is.
 
     Attributes
     ----------
@@ -187,7 +186,11 @@ def streaks(
     velocity_mps: Floats,
     nearness: float,
 ) -> Streaks:
-    """Blur over n instants, at least two: see :class:`BlurForecast` for the rest."""
+    """Blur over n instants, at least two, ``step_s`` apart: see :class:`BlurForecast` for the rest.
+
+    Slope rates (n, 2) rad/s with covariance (n, 2, 2); shifts and sigmas (2,) of the exposures; body rate (3,) and
+    velocity (3,) in body axes; ``nearness`` is one over the range, 1/m.
+    """
     n = len(rates)
     out = Streaks(np.empty((n, 2, 3)), np.empty((2, 3)), np.empty((n, 2)), np.empty((n, 2)))
     timing = (step_s, shifts_ns, sigmas_ns)

@@ -12,14 +12,13 @@ the coordinate's rate over its acceleration.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurForecast
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
-from companion.records import Floats, Ints
+from companion.records import Floats
 
 _ACTIVITY_SHARE = 0.01  # chosen, of one forecast: 4 s at 25 forecasts a second
 _CLEARLY_FASTER = 1.5  # chosen, of mean squares
@@ -59,37 +58,14 @@ class ModeActivity:
             self.dominating = other
 
 
-class _Shape(NamedTuple):
-    """Blur over the instants, as :class:`BlurForecast` has it."""
-
-    t_ns: Ints
-    motion: Floats
-    per_rate: Floats
-    acceleration: Floats
-    rate_covariance: Floats
-    q_covariance: Floats
-    spring: Floats
-    rms_px: Floats
-
-
-_packed, _minima = packed(_Shape), kernel("trigger_minima", RECORD, INTEGER, ARRAY)
+_packed, _minima = packed(BlurForecast), kernel("trigger_minima", RECORD, INTEGER, ARRAY)
 
 
 def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[PlannedInstant]:
     """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
     first_ns = int(blur.t_host_ns[0])
-    shape = _Shape(
-        blur.t_host_ns,
-        blur.motion,
-        blur.motion_per_rate,
-        blur.acceleration_radps2,
-        blur.rate_covariance,
-        blur.q_covariance,
-        blur.spring,
-        blur.rms_px,
-    )
     minima = np.empty((len(blur.t_host_ns), 3))
-    count = _minima(_packed(shape), from_host_ns, minima)
+    count = _minima(_packed(blur), from_host_ns, minima)
     return [PlannedInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in minima[:count].tolist()]
 
 

@@ -34,7 +34,7 @@ def characteristic(x: float, mass_ratio: float, inertia_ratio: float = 0.0) -> f
 
 
 def characteristic_roots(count: int, mass_ratio: float, inertia_ratio: float = 0.0) -> Floats:
-    """Give the first ``count`` values of beta*l.
+    """Give the first ``count`` values of beta*l, (count,), ascending (paper eqs. 10 to 12).
 
     Without rotary inertia root n lies between (n-1) pi and n pi for every mass ratio, alone. Rotary inertia is a
     rank-one addition to the mass and pulls each root down, but not below the next lower one without it.
@@ -103,15 +103,15 @@ class BeamMode:
         return float(self.slope(np.array([self.length_m]))[0])
 
     def shape(self, station_m: Floats) -> Floats:
-        """Deflection at stations from the root, per unit at the tip; any shape of array."""
+        """Deflection (...,) at stations (...,) from the root, m, per unit at the tip (paper eq. 10)."""
         return self._derivative(station_m, 0)
 
     def slope(self, station_m: Floats) -> Floats:
-        """First derivative in 1/m: rad of slope per metre of tip deflection."""
+        """First derivative in 1/m, (...,): rad of slope per metre of tip deflection; stations as in :meth:`shape`."""
         return self._derivative(station_m, 1)
 
     def curvature(self, station_m: Floats) -> Floats:
-        """Second derivative in 1/m^2: bending moment is E I times it, per metre of tip deflection."""
+        """Second derivative in 1/m^2, (...,): bending moment is E I times it, per metre of tip deflection."""
         return self._derivative(station_m, 2)
 
     def modal_mass_ratio(self) -> float:

@@ -314,7 +314,7 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
 
 
 def on_halves(motion: ModalMotion, law: Callable[[Floats, Floats], Floats]) -> Floats:
-    """Apply a force law to each tip's deflection and speed, and give its loads on the first modes.
+    """Apply a force law to each tip's deflection and speed, and give its loads (n, ...) on the first modes.
 
     With w = s - a on the left and s + a on the right the loads are the mean and the half difference. Second modes
     hardly bend the tips but move them fast: to the first ones a friction is the weaker for it, as under any dither.

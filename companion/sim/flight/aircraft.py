@@ -125,24 +125,24 @@ def demo_plan(duration_s: float = 60.0) -> FlightPlan:
     )
 
 
-def circuit_plan(duration_s: float = 60.0, height_m: float = 60.0) -> FlightPlan:
-    """Roll for a sixth of the flight, climb, fly level, sink, roll out in the last tenth: wings level throughout."""
+def circuit_plan(duration_s: float) -> FlightPlan:
+    """Roll for a sixth of the flight, climb, fly level at 60 m, sink, roll out in the last tenth; wings level."""
     off_s, on_s, wheels_m = duration_s / 6.0, 0.9 * duration_s, 0.4
     climb_s, sink_s = 0.25 * duration_s, 0.3 * duration_s
     return FlightPlan(
         duration_s,
         levels=(
             AltitudeStep(0.0, wheels_m),
-            AltitudeStep(off_s + climb_s, height_m, climb_s),
+            AltitudeStep(off_s + climb_s, 60.0, climb_s),
             AltitudeStep(on_s, wheels_m, sink_s),
         ),
         rolls_on_ground=(GroundRoll(0.0, off_s), GroundRoll(on_s, duration_s, landing=True)),
     )
 
 
-def still_plan(duration_s: float, altitude_m: float = 60.0) -> FlightPlan:
-    """Straight and level without any wobble, for closed forms."""
-    return FlightPlan(duration_s, 22.0, 0.0, (AltitudeStep(0.0, altitude_m),), (), (), 0.0, 0.0, 0.0, 0.0)
+def still_plan(duration_s: float) -> FlightPlan:
+    """Straight and level at 60 m without any wobble, for closed forms."""
+    return FlightPlan(duration_s, 22.0, 0.0, (AltitudeStep(0.0, 60.0),), (), (), 0.0, 0.0, 0.0, 0.0)
 
 
 def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats, Floats]:

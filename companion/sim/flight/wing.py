@@ -73,10 +73,8 @@ class WingStepper:
         self.qdot_mps = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
 
-def integrate(
-    model: WingModel, gust_mps2: Floats, load_factor: Floats, start_s: float = 0.0, step_s: float = SUBSTEP_S
-) -> tuple[Floats, Floats]:
-    """Integrate a whole flight from rest under the first load factor.
+def integrate(model: WingModel, gust_mps2: Floats, load_factor: Floats, start_s: float = 0.0) -> tuple[Floats, Floats]:
+    """Integrate a whole flight from rest under the first load factor, in steps of :data:`SUBSTEP_S`.
 
     Parameters
     ----------
@@ -88,8 +86,6 @@ def integrate(
         At the middle of each step.
     start_s : float
         Time of the first step's start, for effects that depend on time.
-    step_s : float
-        Length of every step.
 
     Returns
     -------
@@ -97,7 +93,7 @@ def integrate(
         At the ends of the steps, the start included.
     """
     if adds_forces(model):
-        stepper = WingStepper(model, float(load_factor[0]), step_s)
+        stepper = WingStepper(model, float(load_factor[0]))
         stepper.t_s = start_s
         return _stepped(stepper, gust_mps2, load_factor)
     from scipy.signal import lfilter  # 0.8 s to import, so late
@@ -107,7 +103,7 @@ def integrate(
     trim, per_g = structure.static_trim_m, structure.static_per_g_m
     load = gust_mps2 + (trim + per_g * (load_factor[:, None] - 1.0)) @ structure.stiffness_radps2.T
     values, vectors = np.linalg.eig(model.state_space().a)
-    growth = np.exp(values * step_s)
+    growth = np.exp(values * SUBSTEP_S)
     # the exponential of each eigenvalue over a step in which the load is held
     push = (growth - 1.0) / values * (load @ np.linalg.inv(vectors)[:, n:].T)
     z = np.empty((len(load) + 1, 2 * n), dtype=np.complex128)

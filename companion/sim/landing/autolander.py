@@ -42,9 +42,7 @@ class FlareBegin:
     """The autopilot's belief as its flare began."""
 
     t_s: float
-    believed_height_m: float
     sink_mps: float
-    north_m: float
 
 
 class Autolander:
@@ -105,7 +103,7 @@ class Autolander:
         past = state.north_m >= 0.0 and not self.correction.in_range
         if height_m <= limits.flare_alt_m or below_time or past:
             self.stage = LandingStage.FLARE
-            self.flare = FlareBegin(state.t_s, height_m, sink_mps, state.north_m)
+            self.flare = FlareBegin(state.t_s, sink_mps)
             self._flare_pitch_rad = state.pitch_rad
         elif limits.range_min_m + 1.0 < height_m < limits.gate_m and state.t_s - self._ranged_s > limits.silence_s:
             self._go_around("no range below the gate")

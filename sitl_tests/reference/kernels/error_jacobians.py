@@ -6,25 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.tracking.error_jacobians import (
-    _BP,
-    _BR,
-    _KP,
-    _KY,
-    _KZ,
-    _MX,
-    _MY,
-    _MZ,
-    _P,
-    _P0,
-    _TAU,
-    _Y,
-    _Z,
-    AVERAGED,
-    EARLIER,
-)
-from companion.core.tracking.states import ROWS
+from companion.core.tracking.error_jacobians import AVERAGED, EARLIER
+from companion.core.tracking.states import P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
+
+_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len((*SENSOR_ERRORS, *ROOT_ERRORS)))
 
 
 class SensedMotion(NamedTuple):
@@ -114,7 +100,7 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     y, z, p = tip[:, 1], tip[:, 2], tip[:, 3]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
     rigid, omega = (_mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
-    vertical, lateral, roll = _Z + side, _Y + side, _P + side
+    vertical, lateral, roll = Z_LEFT + side, Y_LEFT + side, P_LEFT + side
     scaled_y, scaled_z = _with_earlier_rigid(motion, side, 1), _with_earlier_rigid(motion, side, 2)
     _set_column(out, vertical, columns[_KZ], scaled_z)
     _set_column(out, lateral, columns[_KZ], -scaled_y * gain)
@@ -158,7 +144,7 @@ def _root_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     force = _one_epoch_earlier(motion.f_root)
     x, y, z = force[:, 0], force[:, 1], force[:, 2]
     p, lever = motion.omega[:, 0], motion.levers_m[side, 1]
-    vertical, lateral = _Z + side, _Y + side
+    vertical, lateral = Z_LEFT + side, Y_LEFT + side
     _set_column(out, vertical, columns[_KZ], -z)
     _set_column(out, lateral, columns[_KY], -y * gain)
     _set_column(out, lateral, columns[_KP], 2.0 * lever * p**2 * gain)
@@ -175,7 +161,7 @@ def _root_biases(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     """Columns of the biases of the root's rates, through the centripetal force."""
     p, q, r = motion.omega[:, 0], motion.omega[:, 1], motion.omega[:, 2]
     ahead, aside, below = motion.levers_m[side]
-    vertical, lateral = _Z + side, _Y + side
+    vertical, lateral = Z_LEFT + side, Y_LEFT + side
     _set_column(out, vertical, columns[_BP], 2.0 * below * p - ahead * r)
     _set_column(out, lateral, columns[_BP], (2.0 * aside * p - ahead * q) * gain)
     _set_column(out, vertical, columns[_BR], -(ahead * p + aside * q))
@@ -205,7 +191,7 @@ def _one_epoch_earlier(values: Floats) -> Floats:
 def _roll_errors(out: Floats, motion: SensedMotion, columns: Ints) -> None:
     """Columns of the root's errors in its roll-rate row."""
     p, q, r = motion.omega[:, 0], motion.omega[:, 1], motion.omega[:, 2]
-    _set_column(out, _P0, columns[_KP], p)
-    _set_column(out, _P0, columns[_MY], -r)
-    _set_column(out, _P0, columns[_MZ], q)
-    _set_column(out, _P0, columns[_TAU], -motion.omega_dot[:, 0])
+    _set_column(out, P_ROOT, columns[_KP], p)
+    _set_column(out, P_ROOT, columns[_MY], -r)
+    _set_column(out, P_ROOT, columns[_MZ], q)
+    _set_column(out, P_ROOT, columns[_TAU], -motion.omega_dot[:, 0])

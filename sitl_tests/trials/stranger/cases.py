@@ -1,4 +1,4 @@
-"""What the stranger hides: every name of the catalogue in a form of its own, and what no catalogue has."""
+"""The stranger's cases: every name of the catalogue in a form of its own, and what no catalogue has."""
 
 from __future__ import annotations
 

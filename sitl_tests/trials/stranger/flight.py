@@ -29,7 +29,7 @@ SPEED_RMS_MPS = 1.7
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves, at ``STEP_HZ`` from 0 s on: (m,), or (2, m) for left and right.
+    """Motion, at ``STEP_HZ`` from 0 s on: (m,), or (2, m) for left and right.
 
     ``bend_m`` and ``up_mps2`` are of the tips, the latter against the ground without the rigid aircraft and any roll;
     ``slope`` is the up-bend slope of either camera's station, static bend included.
@@ -165,7 +165,7 @@ def _level(omega: Array, zeta: Array, effects: Mapping[str, float], corner_hz: f
 def _kick(
     load: Array, design: Modes, effects: Mapping[str, float], extra: Mapping[str, float], t_s: Array, corner_hz: float
 ) -> None:
-    """What shakes the wing at instants or frequencies of its own."""
+    """Loads that shake the wing at instants or frequencies of its own."""
     del corner_hz
     shake = effects.get("periodic-forcing", 0.0)
     if shake:

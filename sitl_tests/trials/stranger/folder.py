@@ -30,7 +30,7 @@ _MATCH_PX = 0.3
 
 @dataclass(frozen=True)
 class Flight:
-    """What is flown and what is hidden; all that is not set is as believed, drawn from the airframe's priors."""
+    """Flight and hidden effects; all that is not set is as believed, drawn from the airframe's priors."""
 
     seed: int
     duration_s: float = 30.0
@@ -186,7 +186,7 @@ def _filtered(values: Array, flight: Flight) -> Array:
 
 
 def _turned(slope: Array, flight: Flight, dt: float) -> Array:
-    """What the cameras turn by, (2, n): gains, then each on its mount."""
+    """Turn of the cameras, (2, n): gains, then each on its mount."""
     turned = slope * np.array(flight.camera_gain)[:, None]
     if not flight.mount_hz:
         return turned

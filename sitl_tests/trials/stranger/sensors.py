@@ -1,4 +1,4 @@
-"""What the stranger's laboratory records of a flight: nodes, root sensor and cameras, each with its own chain."""
+"""Recording of a flight in the stranger's laboratory: nodes, root sensor and cameras, each with its own chain."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _tip(motion: Motion, effects: Mapping[str, float], side: int, rigid: Array, 
 
 
 def _late(t_s: Array, side: int, hidden: Hidden, duration_s: float) -> Array:
-    """By how much a stamp is ahead of what it shows, (m,)."""
+    """Lead of a stamp on what it shows, (m,)."""
     effects, extra = hidden.effects, hidden.extra
     delay_s = effects.get("stream-delay", 0.0)
     late = np.full(len(t_s), max(delay_s if side else -delay_s, 0.0))

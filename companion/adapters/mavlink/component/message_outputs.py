@@ -17,17 +17,18 @@ from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, ModeState, Record
 
 _SECOND_NS = 1_000_000_000  # by definition
+_STAMPS = ("t_host_ns", "at_host_ns", "planned_host_ns")  # instant of an output record: the first that it has
 
 
 @dataclass(frozen=True, slots=True)
 class MessageOutput:
     """One row: MAVLink messages made of one kind of output record.
 
-    ``record`` is a kind of :data:`companion.records.OutputRecord`, stamped ``t_host_ns`` or ``at_host_ns``. ``encode``
-    turns a record and the boot time in ms into pymavlink messages in wire units, with None in the place of one that
-    cannot be represented; a record of which it makes none takes no other's turn. Ranges come trusted and untrusted: an
-    encoder that sends the range itself looks at ``trusted``. ``rate_hz`` gives the largest rate for the settings; at 0
-    nothing is sent.
+    ``record`` is a kind of :data:`companion.records.OutputRecord`. ``encode`` turns a record and its boot time in ms
+    (a plan's is when it was made) into pymavlink messages in wire units, with None in the place of one that cannot be
+    represented; a record of which it makes none takes no other's turn. Ranges come trusted and untrusted: an encoder
+    that sends the range itself looks at ``trusted``. ``rate_hz`` gives the largest rate for the settings; at 0 nothing
+    is sent.
     """
 
     record: type
@@ -53,7 +54,7 @@ class OutputPublisher:
             rate_hz = output.rate_hz(settings) if isinstance(record, output.record) else 0.0
             if rate_hz <= 0:
                 continue
-            t_host_ns = int(getattr(record, "t_host_ns", getattr(record, "at_host_ns", 0)))
+            t_host_ns = next(int(getattr(record, name)) for name in _STAMPS if hasattr(record, name))
             period_ns = _SECOND_NS / rate_hz
             if self._limiter.ready(t_host_ns, row, period_ns):
                 messages = list(output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000))

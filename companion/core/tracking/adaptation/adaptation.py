@@ -108,7 +108,7 @@ class Adaptation:
             at = end
 
     def set_bias_parameters(self, bias_parameters: Floats, bend_per_g_m: float) -> None:
-        """Bias parameters and bend per g as estimated; they correct the whole stored history."""
+        """Bias parameters (c,) and bend per g, m, as estimated; they correct the whole stored history."""
         self._bias_parameters, self._bend_per_g_m = bias_parameters.copy(), bend_per_g_m
 
     def add_epochs(self, epochs: Epochs, contradicted: bool = False, hold: bool = False) -> FitProgress:

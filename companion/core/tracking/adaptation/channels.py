@@ -85,7 +85,7 @@ class Channels:
         return rows[:, tip] - load_response - (2 * tip - 1) * roll_lift, noise_spectrum
 
     def slope_rates(self, rows: Floats, families: tuple[int, ...]) -> SlopeRates | None:
-        """Slow rates of a family's slope, without the static bend's; None without both tips' gyros and the root's."""
+        """Slow rates of a family's slope, without the static bend's; ``rows`` (n, 6). None without all three gyros."""
         if len(families) > 1:
             return None
         (k,) = families

@@ -55,7 +55,10 @@ def _points(frequency_hz: Floats, step_s: float) -> GridPoints:
 
 
 def load_density(values: Floats, square: _Real, reference_hz: float) -> _Real:
-    """Density of the first mode's load, (m/s^2)^2/Hz, at squared frequencies; ``values`` as in ``parameters``."""
+    """Density of the first mode's load, (m/s^2)^2/Hz, at squared frequencies (n,) or one; ``values`` (5 or more,).
+
+    The values are those of ``parameters``; two real poles, scaled to the load at the reference frequency.
+    """
     inverse_1, inverse_2 = 1.0 / values[CORNER_1] ** 2, 1.0 / values[CORNER_2] ** 2
     at_reference = (1.0 + reference_hz**2 * inverse_1) * (1.0 + reference_hz**2 * inverse_2)
     density: _Real = values[LOAD] * at_reference / ((1.0 + square * inverse_1) * (1.0 + square * inverse_2))

@@ -53,7 +53,7 @@ class Periodogram(NamedTuple):
     low_grid: int
 
     def with_noise(self, noise_density: Callable[[Floats], Floats]) -> Periodogram:
-        """The same power beside another density of noise."""
+        """The same power (n,) beside another density of noise, which is given frequencies (m,), Hz."""
         return self._replace(noise_density=noise_density(np.sqrt(self.grid.exact.square)))
 
 

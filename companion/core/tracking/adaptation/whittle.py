@@ -61,7 +61,7 @@ class WhittleFit:
 
 _pack_periodogram, _pack_prior = packed(Periodogram), packed(LogNormalPrior)
 _expected = kernel("whittle_expected", RECORD, RECORD, ARRAY, ARRAY)
-_cost = kernel("whittle_cost", RECORD, RECORD, ARRAY, ARRAY)
+_neg_log_posterior = kernel("whittle_cost", RECORD, RECORD, ARRAY, ARRAY)
 _gradient = kernel("whittle_gradient", RECORD, RECORD, ARRAY, ARRAY, ARRAY)
 _improve = kernel("whittle_improve", RECORD, RECORD, ARRAY, INTEGER, ARRAY, ARRAY)
 
@@ -101,7 +101,7 @@ def neg_log_posterior(periodogram: Periodogram, prior: LogNormalPrior, log_param
 def _costs(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> tuple[float, float]:
     """Negative log likelihood and posterior."""
     costs = np.empty(2)
-    _cost(_pack_periodogram(periodogram), _pack_prior(prior), log_params, costs)
+    _neg_log_posterior(_pack_periodogram(periodogram), _pack_prior(prior), log_params, costs)
     likelihood, posterior = costs.tolist()
     return likelihood, posterior
 
