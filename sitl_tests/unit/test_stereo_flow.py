@@ -107,6 +107,31 @@ def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator, lens: Fl
     return rays
 
 
+def test_at_the_truth_noise_pulls_at_no_state() -> None:
+    """Errors in variables: rows at noisy depths and places pull at the lenses' terms in every pair.
+
+    What noise and the same noise turned round pull together is a bias; over the root of a pair's information it is
+    what a pair adds in sigmas. With the rows at the measured depths and places it is 0.067 (radial mean).
+    """
+    pulls, information = [], []
+    for seed in range(100):
+        exact, rng = _view(seed=seed), np.random.default_rng([seed, 0x5C])
+        right, earlier = _NOISE_RAD * rng.standard_normal((2, len(exact.earlier), 2))
+        both = [_noisy(exact, way * right, way * earlier) for way in (1.0, -1.0)]
+        pulls.append(0.5 * sum(flow.columns.T @ (flow.residual_rad / flow.sigma_rad**2) for flow in both))
+        information.append(((both[0].columns / both[0].sigma_rad[:, np.newaxis]) ** 2).sum(axis=0))
+    observed = np.mean(information, axis=0) > 1e3  # per rad or m/s: a thousandth of what is known before
+    bias = np.abs(np.mean(pulls, axis=0))[observed] / np.sqrt(np.mean(information, axis=0)[observed])
+    assert bias.max() < 0.005
+
+
+def _noisy(exact: FlowView, right: Floats, earlier: Floats) -> FlowInnovation:
+    """Innovation at the truth with noise (n, 2) of slopes in the right image and in the earlier left one."""
+    rays = dataclasses.replace(exact.rays, right=exact.rays.right + right @ _DOWN[:2])
+    noisy = dataclasses.replace(exact, rays=rays, earlier=exact.earlier + np.pad(earlier, ((0, 0), (0, 1))))
+    return noisy.innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+
+
 def _before(yaw_sigma_rad: float = _MAY_BE_RAD) -> Posterior:
     variances = np.zeros(ALL_STATES)
     variances[YAW] = yaw_sigma_rad**2

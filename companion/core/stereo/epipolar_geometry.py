@@ -55,15 +55,46 @@ def parallax(epipolar_rays: Rays, axes: LensAxes, state: Floats) -> tuple[Floats
         camera has half of the rotation: a bend turns both, and leaves the baseline where it was.
     """
     half = exp_rotation(0.5 * state[:3])
-    turned = replace(epipolar_rays, left=epipolar_rays.left @ half, right=epipolar_rays.right @ half.T)
-    left, right = turned.left, turned.right
-    x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
-    x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
-    apart = epipolar_rays.right_m - epipolar_rays.left_m
+    turned, axes = _turned(epipolar_rays, half), axes.turned(half)
+    residual_rad = _unexplained(turned, parallax_columns(turned, axes), state)
+    # Columns are taken where the rays meet, for the left pixel is the feature and the right one its noisy match: at the
+    # ray as measured the noise is in columns and residual alike, and pulls at the radial terms, pair by pair the same.
+    return residual_rad, _columns(_meeting(turned, residual_rad), axes)
+
+
+def _turned(rays: Rays, half: Floats) -> Rays:
+    """The right rays turned back by a rotation (3, 3), and the left ones on by it."""
+    return replace(rays, left=rays.left @ half, right=rays.right @ half.T)
+
+
+def _meeting(rays: Rays, parallax_rad: Floats) -> Rays:
+    """Rays of which the right ones are turned by a parallax (n,)."""
+    right = rays.right.copy()
+    right[:, 1] += parallax_rad * right[:, 2]
+    return replace(rays, right=right)
+
+
+def _unexplained(rays: Rays, lens: Floats, state: Floats) -> Floats:
+    """Parallax (n,) of turned rays beyond what the baseline and the lenses, by their columns (n, 9), leave."""
+    disparity, twisted = _baseline_columns(rays)
+    apart = rays.right_m - rays.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
-    disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
-    lens = parallax_columns(turned, axes.turned(half))
-    residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
+    y_l, y_r = rays.left[:, 1] / rays.left[:, 2], rays.right[:, 1] / rays.right[:, 2]
+    unexplained: Floats = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
+    return unexplained
+
+
+def _columns(rays: Rays, axes: LensAxes) -> Floats:
+    """Fall (n, 14) of the parallax with rotation, baseline and lens terms."""
+    x_l, y_l = rays.left[:, 0] / rays.left[:, 2], rays.left[:, 1] / rays.left[:, 2]
+    x_r, y_r = rays.right[:, 0] / rays.right[:, 2], rays.right[:, 1] / rays.right[:, 2]
     per_turn = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
-    columns = np.stack([*per_turn, disparity, twisted], axis=1)
-    return residual_rad, np.concatenate([columns, lens], axis=1)
+    columns = np.stack([*per_turn, *_baseline_columns(rays)], axis=1)
+    return np.concatenate([columns, parallax_columns(rays, axes)], axis=1)
+
+
+def _baseline_columns(rays: Rays) -> tuple[Floats, Floats]:
+    """Disparity (n,), and ``x_r y_l - y_r x_l`` (n,): parallax per radian of the baseline's y and z."""
+    x_l, y_l = rays.left[:, 0] / rays.left[:, 2], rays.left[:, 1] / rays.left[:, 2]
+    x_r, y_r = rays.right[:, 0] / rays.right[:, 2], rays.right[:, 1] / rays.right[:, 2]
+    return x_l - x_r, x_r * y_l - y_r * x_l

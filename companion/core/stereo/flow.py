@@ -13,7 +13,8 @@ range to 1.4 % at any distance, whatever the lenses' residuals make of a yaw.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -179,7 +180,7 @@ class FlowView:
         baseline : (2,) float64
             Error of the baseline's direction, y and z: places of the cameras against each other.
         """
-        inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens, baseline)
+        inverse_pm, sigma_pm = self._inverse_depths(self.rays, [(rotation_rad, lens, baseline)])
         left, per_term = left_terms(lens)
         quarter = np.rint(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
         bent_earlier, bent_later = left_fields(self.earlier, quarter), left_fields(self.later, quarter)
@@ -192,11 +193,13 @@ class FlowView:
         residual, per_inverse = earlier - slopes, project @ moved.path_m
         place_variance, depth_variance = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
         # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
-        # noise would be in rows and residual alike, and feign a velocity.
+        # noise would be in rows and residual alike, and feign a velocity, a radial term and a rate of turn.
         depth_correction_pm = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (place_variance + depth_variance)
         adjusted_pm = inverse_pm + depth_correction_pm
-        _, project = _projected(at_infinity + adjusted_pm[:, np.newaxis] * moved.path_m)
+        expected, project = _projected(at_infinity + adjusted_pm[:, np.newaxis] * moved.path_m)
+        bent_earlier = left_fields(np.column_stack([expected, np.ones(len(expected))]), quarter)
         per_inverse = project @ moved.path_m
+        per_state = self._per_state(self._nearer(depth_correction_pm), rotation_rad, lens, baseline)
         per_left = bent_earlier[:, :2] - project @ (moved.earlier_from_body @ moved.body_from_later) @ bent_later
         per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
         per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_left @ per_term
@@ -230,30 +233,42 @@ class FlowView:
         per_velocity = project @ path_per_velocity_s * inverse_pm[:, np.newaxis, np.newaxis]
         return np.concatenate([project @ per_turn.transpose(0, 2, 1), per_velocity], axis=2)
 
-    def _inverse_depths(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> tuple[Floats, Floats, Floats]:
-        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 14) per state."""
-        changed = [self._turned(rotation_rad, lens, baseline)]
-        changed += [self._turned(rotation_rad + _STEP * axis, lens, baseline) for axis in np.eye(3)]
-        changed += [self._turned(rotation_rad, lens + _STEP * term, baseline) for term in np.eye(PAIR_TERMS)]
-        changed += [self._turned(rotation_rad, lens, baseline + _STEP * axis) for axis in np.eye(2)]
-        stacked = Rays.stacked(changed)
-        half = self._half_turn(rotation_rad)
-        look = self.later_pose.camera_from_body[2] @ half
+    def _nearer(self, change_pm: Floats) -> Rays:
+        """Matched rays whose inverse depths are larger by a change (m,): the right ones turned along the baseline."""
+        rays, x, z = self.rays, self.epipolar_from_body[0], self.epipolar_from_body[2]
+        baseline_m = np.linalg.norm(rays.right_m - rays.left_m, axis=1)
+        closer = (baseline_m * change_pm * (rays.right @ z))[:, np.newaxis] * x
+        return replace(rays, right=rays.right - closer)
+
+    def _per_state(self, rays: Rays, rotation_rad: Floats, lens: Floats, baseline: Floats) -> Floats:
+        """Change (m, 14) of the inverse depths of matched rays by rotation, lens and baseline."""
+        changed = [(rotation_rad, lens, baseline)]
+        changed += [(rotation_rad + _STEP * axis, lens, baseline) for axis in np.eye(3)]
+        changed += [(rotation_rad, lens + _STEP * term, baseline) for term in np.eye(PAIR_TERMS)]
+        changed += [(rotation_rad, lens, baseline + _STEP * axis) for axis in np.eye(2)]
+        table = self._inverse_depths(rays, changed)[0].reshape(len(changed), -1)
+        per_state: Floats = (table[1:] - table[0]).T / _STEP
+        return per_state
+
+    def _inverse_depths(self, rays: Rays, states: Sequence[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats]:
+        """Inverse depths along the left optical axis of matched rays (m) by rotations, lenses and baselines; sigmas.
+
+        Both are (k m,) for k states. The axis is that of the first.
+        """
+        stacked = Rays.stacked([self._turned(rays, *state) for state in states])
+        look = self.later_pose.camera_from_body[2] @ self._half_turn(states[0][0])
         # tangents across the axis are not asked for
-        sight = RangeAxis(self.rays.left_m[0], look, np.zeros((2, 3)))
-        depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(changed)))
-        table = depths.inverse_pm.reshape(len(changed), -1)
-        sigma_pm: Floats = depths.sigma_pm.reshape(len(changed), -1)[0]
-        return table[0], sigma_pm, (table[1:] - table[0]).T / _STEP
+        sight = RangeAxis(rays.left_m[0], look, np.zeros((2, 3)))
+        depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(states)))
+        return depths.inverse_pm, depths.sigma_pm
 
     def _half_turn(self, rotation_rad: Floats) -> Floats:
         """Half of a relative rotation (3,), epipolar axes, as a matrix in body axes."""
         return exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
 
-    def _turned(self, rotation_rad: Floats, lens: Floats, baseline: Floats) -> Rays:
+    def _turned(self, rays: Rays, rotation_rad: Floats, lens: Floats, baseline: Floats) -> Rays:
         """Rays with half of the relative rotation in each camera, the right one moved, the lens residual taken out."""
         half = self._half_turn(rotation_rad)
-        rays = self.rays
         baseline_m = np.linalg.norm(rays.right_m - rays.left_m, axis=1)[:, np.newaxis]
         right_m = rays.right_m + baseline_m * (baseline @ self.epipolar_from_body[1:])
         turned = Rays(rays.left_m, rays.left @ half, right_m, rays.right @ half.T)
