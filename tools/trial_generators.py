@@ -10,9 +10,9 @@ import numpy as np
 from companion.evaluation.flight_models import top_of
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
-from sitl_tests.trials import belief, cases
-from sitl_tests.trials.stranger import airframe as stranger_airframe
-from sitl_tests.trials.stranger import cases as stranger_cases
+from tools.trial_truths import belief, cases
+from tools.trial_truths.stranger import airframe as stranger_airframe
+from tools.trial_truths.stranger import cases as stranger_cases
 
 _TOP_HZ = 51.2
 Flights = list[cases.Tables]

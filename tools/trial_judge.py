@@ -21,10 +21,10 @@ from companion.diagnosis.selection.forward_selection import SAME
 from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
 from companion.records import Side
-from sitl_tests.trials.cases import SEEN, Hidden, Tables
 from tools.trial_generators import FIRST, Generator
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import SEEN, Hidden, Tables
 
 
 def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:

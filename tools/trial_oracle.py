@@ -10,7 +10,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit
 from companion.diagnosis.selection.cross_validation import cross_validate
-from sitl_tests.trials.cases import SEEN, Hidden
+from tools.trial_truths.cases import SEEN, Hidden
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl_tests.trials.cases import SEEN, SIGMA, Hidden
 from tools.trial_generators import FIRST, GENERATORS, STRANGER, Generator
+from tools.trial_truths.cases import SEEN, SIGMA, Hidden
 
 STRONG = (8.0, 14.0)
 _TOGETHER = 60

@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 
 from companion.evaluation.fleet.campaign import work_off
-from sitl_tests.trials.cases import SEEN
 from tools.trial_generators import FIRST, GENERATORS, STRANGER
 from tools.trial_plan import STRONG, Trial, acceptance, nothing, outside, several, singles, strangers_acceptance
 from tools.trial_report import draw, summary, table
 from tools.trial_results import commit, results
 from tools.trial_tasks import PARTS, Batch, JudgementTask, judge_task, parts
+from tools.trial_truths.cases import SEEN
 
 _BATCH = 60
 _PUBLISHED = Path(__file__).resolve().parents[1] / "sitl_tests" / "trials"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from sitl_tests.reference.rigid import LEVEL, RigidMotion, flight
-from sitl_tests.reference.spec import DRYDEN, FIVE_TWENTY, TWO_EIGHT, WHITE, GustShape, ModeSpec, SensorSpec, TruthSpec
 from tools.bench.accuracy_belief import Perturbation, second_mode
+from tools.reference.rigid import LEVEL, RigidMotion, flight
+from tools.reference.spec import DRYDEN, FIVE_TWENTY, TWO_EIGHT, WHITE, GustShape, ModeSpec, SensorSpec, TruthSpec
 
 FREQUENCIES_HZ = (3.0, 5.0, 10.0, 20.0)
 DAMPINGS = (0.02, 0.05, 0.12)

@@ -10,9 +10,9 @@ from companion.core.tracking.tracker import WingTracker
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ModeState, Reject
-from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks
-from sitl_tests.reference.truth import TruthRun
 from tools.bench.accuracy_peaks import Issue
+from tools.reference.imu import EPOCH_HOST_NS, chunks
+from tools.reference.truth import TruthRun
 
 LAG_S = 0.5
 START_S = 10.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.records import Floats
-from sitl_tests.reference.truth import TruthRun
+from tools.reference.truth import TruthRun
 
 LEAD_S = 0.020
 _GRID_S = 0.004

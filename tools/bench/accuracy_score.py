@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from companion.records import Floats
-from sitl_tests.reference.imu import samples
-from sitl_tests.reference.oracle import Oracle
-from sitl_tests.reference.truth import TruthRun, simulate
 from tools.bench.accuracy_belief import believed_airframe
 from tools.bench.accuracy_cases import Cell
 from tools.bench.accuracy_drive import LAG_S, LOCK_S, START_S, Told, drive, instants
 from tools.bench.accuracy_peaks import issues_of, miss_s
+from tools.reference.imu import samples
+from tools.reference.oracle import Oracle
+from tools.reference.truth import TruthRun, simulate
 
 _INDEPENDENT_S = 2.0  # between instants whose errors are taken as independent
 _SEEDS_AT_ONCE = 3  # what the reference holds in memory

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from sitl_tests.trials.cases import BELIEF, Hidden, Tables, fly
 from tools.bench.libraries import ema_poles_hz
 from tools.trial_judge import judge_trial
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import BELIEF, Hidden, Tables, fly
 
 _SEED = 77
 _DURATION_S = 60.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl_tests.trials.wing import GRAVITY, Array, World, airspeed, integrate, roller
+from tools.trial_truths.wing import GRAVITY, Array, World, airspeed, integrate, roller
 
 BASELINE_M = 1.98
 FOCAL_PX = 800.0

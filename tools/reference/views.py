@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.observer import MEAN, MOMENT, SAMPLES_PER_STEP, Layout
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.observer import MEAN, MOMENT, SAMPLES_PER_STEP, Layout
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
 
 Floats = npt.NDArray[np.float64]
 _E = (0.0, 1.0, -1.0)

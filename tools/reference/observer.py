@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from sitl_tests.reference.discretise import Discrete, averages, stacked
-from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
-from sitl_tests.reference.truth import frequency_factor
+from tools.reference.discretise import Discrete, averages, stacked
+from tools.reference.load import chain, intensity
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.truth import frequency_factor
 
 Floats = npt.NDArray[np.float64]
 SAMPLES_PER_STEP = 4

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.trials.steps import Kept, Laws, advance, start
+from tools.trial_truths.steps import Kept, Laws, advance, start
 
 Array = npt.NDArray[np.float64]
 STEP_HZ = 4000

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.ndimage
 
-from sitl_tests.reference.observer import MOMENT, REFERENCE_STEP_S, Layout
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
-from sitl_tests.reference.views import Reduced, push_ratio
+from tools.reference.observer import MOMENT, REFERENCE_STEP_S, Layout
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.views import Reduced, push_ratio
 
 Floats = npt.NDArray[np.float64]
 _E = (0.0, 1.0, -1.0)

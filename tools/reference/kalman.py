@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.observer import REFERENCE_STEP_S, Dynamics
-from sitl_tests.reference.priors import Sensitivity
-from sitl_tests.reference.spec import GRAVITY_MPS2
-from sitl_tests.reference.views import Views
+from tools.reference.observer import REFERENCE_STEP_S, Dynamics
+from tools.reference.priors import Sensitivity
+from tools.reference.spec import GRAVITY_MPS2
+from tools.reference.views import Views
 
 Floats = npt.NDArray[np.float64]
 EVERY = 25  # steps between records of what is known of the constants

@@ -1,6 +1,6 @@
 """A wing as a stranger would simulate it, written as the laboratory's CSV folder. Imports nothing of Spanwise.
 
-Another hand's choices than ``sitl_tests/trials/wing.py``: linear modes are stepped exactly (zero-order hold), forces of
+Another hand's choices than ``tools.trial_truths.wing``: linear modes are stepped exactly (zero-order hold), forces of
 state by Runge and Kutta, the cameras are pinholes that see one point between them, samples are means over their period,
 and the noise is 20 dB below the tip acceleration in the band up to 40 Hz, whatever the airframe file says of sensors.
 """

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl_tests.trials.cases import SEEN, Hidden, Tables, participation
-from sitl_tests.trials.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
-from sitl_tests.trials.stranger.sensors import record
+from tools.trial_truths.cases import SEEN, Hidden, Tables, participation
+from tools.trial_truths.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
+from tools.trial_truths.stranger.sensors import record
 
 SIGMA: dict[str, float] = {
     "frequency-shift": 0.0073,

@@ -14,7 +14,7 @@ from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame
 from companion.core.stereo.epipolar_states import ExtrinsicsPrior, FastBelief
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
-from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
+from tools.bench.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
 
 # a rigid bar holds EuRoC's cameras; its calibration says nothing of its own sigmas, this is usual for a good one
 _BASELINE_RAD = 0.0005

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.ndimage
 
-from sitl_tests.reference.discretise import averages
-from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.spec import GRAVITY_MPS2, ModeSpec, TruthSpec
+from tools.reference.discretise import averages
+from tools.reference.load import chain, intensity
+from tools.reference.spec import GRAVITY_MPS2, ModeSpec, TruthSpec
 
 Floats = npt.NDArray[np.float64]
 STEP_S = 0.0005

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.kalman import Filtered, filtered, smoothed
-from sitl_tests.reference.observer import REFERENCE_STEP_S, Dynamics, Layout, dynamics, initial_covariance, layout_of
-from sitl_tests.reference.priors import Sensitivity, constants_of
-from sitl_tests.reference.spec import TruthSpec
-from sitl_tests.reference.truth import SEGMENT_S
-from sitl_tests.reference.views import views
+from tools.reference.kalman import Filtered, filtered, smoothed
+from tools.reference.observer import REFERENCE_STEP_S, Dynamics, Layout, dynamics, initial_covariance, layout_of
+from tools.reference.priors import Sensitivity, constants_of
+from tools.reference.spec import TruthSpec
+from tools.reference.truth import SEGMENT_S
+from tools.reference.views import views
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
