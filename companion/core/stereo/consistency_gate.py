@@ -58,7 +58,7 @@ class Innovation:
     covariance: Floats
 
     def loosened(self, covariance: Floats) -> Innovation:
-        """The same with more covariance."""
+        """The same with more covariance, (3, 3) rad^2."""
         return Innovation(self.rotation_rad, self.covariance + covariance)
 
 
@@ -263,7 +263,7 @@ def surely_beyond(inverse_pm: Floats, sigma_pm: Floats, slant: Floats, settings:
 
 
 def clears(far_matches: Ints) -> Bools:
-    """Whether counts of far matches clear their sectors."""
+    """Whether counts (n,) of far matches clear their sectors."""
     return far_matches >= _CLEAR_MATCHES
 
 

@@ -168,7 +168,10 @@ def _roll(points_px: Floats, down_px: Floats) -> float:
 
 
 def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
-    """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
+    """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check).
+
+    ``chosen`` (n,) marks the matches of ``fine`` that are asked, of which each is answered; ``slopes`` (n, 2, 2).
+    """
     left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
     centres_px = np.rint(right_px).astype(np.int64)
     expected = left_px + (centres_px - right_px)

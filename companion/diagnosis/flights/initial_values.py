@@ -26,7 +26,7 @@ _MOST = 2.0  # prior sigmas in one step
 
 
 def initial_values(models: Sequence[FlightModel]) -> list[Floats]:
-    """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
+    """Nuisances (p,) from which to fit without effects; either may end in a bad optimum, hardly both."""
     believed = np.zeros(len(models[0].belief.nuisances))
     return [regressed_start(models, believed), noise_floor_start(models, believed)]
 
@@ -63,7 +63,7 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
 
 
 def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
-    """The same with each sensor's noise at the lowest part of its spectrum."""
+    """Nuisances (p,) of ``start`` with each sensor's noise at the lowest part of its spectrum."""
     belief, values = models[0].belief, start.copy()
     for model in models:
         edges = np.geomspace(float(model.band_hz[0]), float(model.band_hz[-1]) * 1.0001, _PARTS + 1)

@@ -114,7 +114,7 @@ def strengths(
 ) -> dict[str, float]:
     """Standard deviations of each view's statistic from the mean of simulated recordings of the same model.
 
-    ``values`` and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
+    ``values`` (p,) and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
     """
     rng = np.random.default_rng(_SEED)
     count = len(model.belief.nuisances)

@@ -152,12 +152,12 @@ class RegressionModel:
         )
 
     def log_likelihood(self, values: Floats, near: RegressionModel | None = None) -> float:
-        """Log likelihood of the rows that count."""
+        """Log likelihood at a vector (p,) of the rows that count."""
         del near
         return float(sum(self.log_density(values, k)[use].sum() for k, use in enumerate(self.use)))
 
     def scores(self, values: Floats) -> Scores[RegressionModel]:
-        """Log likelihood, gradient and information."""
+        """Log likelihood, gradient (p,) and information (p, p)."""
         count = len(values)
         gradient, information = np.zeros(count), np.zeros((count, count))
         for k, use in enumerate(self.use):
@@ -171,7 +171,7 @@ class RegressionModel:
         return Scores(self.log_likelihood(values), gradient, information, self)
 
     def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
-        """Rows of every response as the model makes them by chance."""
+        """Rows (m,) of every response as the model makes them by chance at a vector (p,)."""
         return [
             self.predicted(values, k) + self.noise(values, k) * rng.standard_normal(len(entry.values))
             for k, entry in enumerate(self.responses)
