@@ -49,7 +49,7 @@ def _stranger_airframe(_snr_db: float, corner_hz: float) -> Airframe:
 
 FIRST = Generator(
     "first",
-    (*cases.SIGMA, *cases.SEEN),
+    (*cases.SIGMA, *cases.IN_SAMPLES),
     (),
     (0.0, 0.0, 12.0, 30.0),
     cases.hide,
@@ -60,7 +60,7 @@ FIRST = Generator(
 )
 STRANGER = Generator(
     "stranger",
-    (*stranger_cases.SIGMA, *cases.SEEN),
+    (*stranger_cases.SIGMA, *cases.IN_SAMPLES),
     tuple(stranger_cases.OUTSIDE),
     stranger_cases.CORNERS_HZ,
     stranger_cases.hide,

@@ -136,4 +136,4 @@ def _gathered(suite: str, rows: list[tuple[TruthSpec, Perturbation, int]]) -> li
     seeds: dict[tuple[TruthSpec, Perturbation], list[int]] = {}
     for spec, perturbation, seed in rows:
         seeds.setdefault((spec, perturbation), []).append(seed)
-    return [Cell(suite, spec, perturbation, tuple(found)) for (spec, perturbation), found in seeds.items()]
+    return [Cell(suite, spec, perturbation, tuple(truth_seeds)) for (spec, perturbation), truth_seeds in seeds.items()]

@@ -40,10 +40,10 @@ class Link:
     def exchange(self, sent_ns: int) -> TimesyncReply | None:
         """Answered TIMESYNC exchange, or None where either message was lost."""
         lost = self.rng.random(2) < self.loss
-        there, back = (self.fixed_ns + self.rng.random(2) * self.jitter_ns).astype(np.int64)
+        outward, back = (self.fixed_ns + self.rng.random(2) * self.jitter_ns).astype(np.int64)
         if lost.any():
             return None
-        read_ns = sent_ns + int(there)
+        read_ns = sent_ns + int(outward)
         stamp = self.remote(read_ns) // 1000 * 1000  # ArduPilot counts microseconds
         return TimesyncReply(NODE, sent_ns, stamp, read_ns + int(back))
 

@@ -66,11 +66,11 @@ class Oracle:
         push = system.fine_push * self.excess[k - 1, seed_index]
         theta = self.run.constants(k)[0][seed_index]
         x = self.run.states[k, seed_index] @ np.concatenate([[1.0], theta])
-        found = np.empty((count, 2))
+        deflections = np.empty((count, 2))
         for j in range(count):
             x = system.fine @ x + push
-            found[j] = x[self.first]
-        return found
+            deflections[j] = x[self.first]
+        return deflections
 
     def _estimate(self, columns: Floats, covariances: Floats, told_at: Ints) -> Estimate:
         """Put state and constants together, for every instant and seed."""

@@ -94,7 +94,7 @@ From the divergence of the two spectra over 60 s for a mode 9.75 % away, frequen
 saturates: 7 % away, a mode of any strength reaches 6 sigma at most, 5 % away 4; so what is hidden lies 9.75 to 10 %
 away. Noise and gust have no say in it: from 20 to 10 dB none of these numbers changes by more than 1.5 %.
 """
-SEEN = {"saturation": (5.0, 7.0), "quantisation": (6.0, 8.0), "dropout-jitter": (0.02, 0.05)}
+IN_SAMPLES = {"saturation": (5.0, 7.0), "quantisation": (6.0, 8.0), "dropout-jitter": (0.02, 0.05)}
 """What shows in the samples themselves has no sigma: the range beyond 1 g, the step, m/s^2; the share lost."""
 NOISIER = {
     "accel-bias": 1.06,
@@ -175,8 +175,8 @@ def sigma_of(name: str, snr_db: float = 20.0, loudness: float = 1.0) -> float:
 
 
 def _wider(name: str, snr_db: float) -> float:
-    share = min(max((20.0 - snr_db) / 10.0, 0.0), 1.0)
-    return float(NOISIER.get(name, 1.0) ** share)
+    exponent = min(max((20.0 - snr_db) / 10.0, 0.0), 1.0)
+    return float(NOISIER.get(name, 1.0) ** exponent)
 
 
 def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generator, snr_db: float = 20.0) -> Hidden:
@@ -185,8 +185,8 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
     loudness = float(np.exp(BELIEF["rms_sigma"] * rng.standard_normal()))
     beside = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.0975, 0.1))
     for name in names:
-        if name in SEEN:
-            effects[name] = float(rng.uniform(*SEEN[name])) * _wider(name, snr_db)
+        if name in IN_SAMPLES:
+            effects[name] = float(rng.uniform(*IN_SAMPLES[name])) * _wider(name, snr_db)
         elif name == "close-mode":
             effects[name] = participation(strength, beside, rng)
         else:
@@ -339,7 +339,7 @@ def _record(
         white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
         force[:, s] = -(GRAVITY + up) * scale + bias + tone + white
         force[:, s] = _through_converter(force[:, s], effects, side == s)
-    stamps, kept = _stamped(t_s, effects, rng)
+    stamps, recorded = _stamped(t_s, effects, rng)
     at = np.arange(0.1, t_s[-1] - 0.1, 0.1) + rng.uniform(0, 0.04)
     reference = 45.0 + 25.0 * np.sin(2 * np.pi * at / 40.0) + 10.0 * np.sin(2 * np.pi * at / 13.0)
     toe = _toe(flight, world, effects, i, at, rng)
@@ -348,7 +348,7 @@ def _record(
     disparity = focal * (baseline / reference + toe) + MATCH_PX * rng.standard_normal(len(at))
     return Tables(
         stamps,
-        force[kept],
+        force[recorded],
         at,
         FOCAL_PX * BASELINE_M / disparity,
         reference,
@@ -369,8 +369,9 @@ def _through_converter(force: Array, effects: Mapping[str, float], here: bool) -
 def _stamped(t_s: Array, effects: Mapping[str, float], rng: np.random.Generator) -> tuple[Array, np.ndarray]:
     """Stamps wander a little (inside specification) or too much, with samples lost."""
     lost = effects.get("dropout-jitter", 0.0)
-    kept = rng.uniform(size=len(t_s)) >= lost
-    return t_s[kept] + (2e-5 if not lost else 3e-4) * np.clip(rng.standard_normal(int(kept.sum())), -1.5, 1.5), kept
+    recorded = rng.uniform(size=len(t_s)) >= lost
+    wander = (2e-5 if not lost else 3e-4) * np.clip(rng.standard_normal(int(recorded.sum())), -1.5, 1.5)
+    return t_s[recorded] + wander, recorded
 
 
 def _toe(

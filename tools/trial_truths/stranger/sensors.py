@@ -129,8 +129,9 @@ def _ranges(motion: Motion, hidden: Hidden, at_s: Array, reference_m: Array, rng
     effects = hidden.effects
     turned = _mounted(motion.slope, hidden)
     jitter_s = np.sqrt(max(effects.get("exposure-jitter", 0.0), 0.0)) * 1e-6
-    seen = at_s + effects.get("exposure-delay", 0.0) + np.sqrt(2.0) * jitter_s * rng.standard_normal((2, len(at_s)))
-    slope = np.stack([CubicSpline(motion.t_s, turned[side])(seen[side]) for side in range(2)])
+    wander_s = np.sqrt(2.0) * jitter_s * rng.standard_normal((2, len(at_s)))
+    exposed_s = at_s + effects.get("exposure-delay", 0.0) + wander_s
+    slope = np.stack([CubicSpline(motion.t_s, turned[side])(exposed_s[side]) for side in range(2)])
     across = at_s / at_s[-1] - 0.5
     toe = effects.get("convergence-offset", 0.0) + TOE_SIGMA_RAD * rng.standard_normal()
     toe = (
