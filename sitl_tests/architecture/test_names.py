@@ -26,6 +26,7 @@ ON_DISK = {("companion/records/ranging.py", "known"), ("companion/core/wing/effe
 # what things were called before they had the field's name
 RETIRED = frozenset(
     (
+        "_ROUNDS",
         "_without_idle_seconds",
         "astray",
         "bridged",

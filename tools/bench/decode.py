@@ -25,7 +25,7 @@ from companion.records import ImuBatch, RawChunk
 TARGET_RATIO = 15.0
 _COMPONENTS = (1, 200, 201)
 _BURST = 150  # datagrams that a default socket buffer holds
-_ROUNDS = 5
+_REPEATS = 5  # measurements of every decoder, whose medians count (choice)
 
 
 class _Clock:
@@ -65,7 +65,7 @@ def _pack(message: Any, packer: Any) -> bytes:
 def _best_rate(count: int, work: Callable[[], int]) -> float:
     """Frames per second and core, median of several rounds; every round must find every frame."""
     rates = []
-    for _ in range(_ROUNDS):
+    for _ in range(_REPEATS):
         begin = time.process_time()
         decoded = work()
         rates.append(count / (time.process_time() - begin))
@@ -161,7 +161,7 @@ def run(seconds: float = 8.0) -> list[dict[str, Any]]:
     chunks = [RawChunk(0, k, piece) for k, piece in enumerate(_pieces(frames, 600))]
     ours, theirs = _best_rate(count, lambda: _decode_all(chunks)), _best_rate(count, lambda: _parse_all(data))
     scan = _best_rate(count, lambda: _scan_all(data))
-    pairs = [(_udp_ours(frames), _udp_mavutil(frames)) for _ in range(_ROUNDS)]
+    pairs = [(_udp_ours(frames), _udp_mavutil(frames)) for _ in range(_REPEATS)]
     udp_ours, udp_theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
     rows: list[dict[str, Any]] = [
         {"name": "in memory: bulk decoder to SI batches", "value": ours, "unit": "frames/s"},

@@ -19,7 +19,7 @@ from companion.records import Floats
 _CHUNK = 8  # bins whose mean power is near normal
 _PARTS = 14  # bands of a spectrum
 _STEP = 1e-3  # of a prior sigma, for a difference quotient
-_ROUNDS = 12  # Gauss-Newton steps at most
+_GAUSS_NEWTON_STEPS = 12  # at most (choice)
 _CLOSE = 1.6  # mean square of residuals in units of what chance makes
 _ENOUGH = 1e-3  # gain in likelihood a point at which the steps end
 _MOST = 2.0  # prior sigmas in one step
@@ -50,7 +50,7 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
         ((candidate, residual(candidate)) for candidate in (values, noise_floor_start(models, values))),
         key=lambda power: _penalised_squares(power[1], power[0], sigmas),
     )
-    for _ in range(_ROUNDS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         slopes = np.stack([(residual(_moved(values, i, sigmas)) - deviation) / (_STEP * sigmas[i]) for i in free], 1)
         better = _step(residual, values, deviation, slopes, free, sigmas)
         if better is None:

@@ -27,7 +27,7 @@ from companion.records import Bools, Floats
 Indices = npt.NDArray[np.int64]
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance."""
-_ROUNDS = 60  # scoring steps: noises begin far from their values
+_SCORING_STEPS = 60  # at most: noises begin far from their values
 _NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way
 _DRAWS = 400  # which tell a statistic's spread to 4 %
 _SEED = 20250104  # convention: any fixed number
@@ -268,7 +268,7 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
     def _climb(self, model: RegressionModel, near: RegressionFit | None) -> RegressionFit:
         before = {} if near is None else dict(zip(near.keys, near.values.tolist(), strict=True))
         start = np.array([before.get(entry.key, entry.centre) for entry in model.parameters])
-        return climb(model, model.terms, model.blocks, start, _ROUNDS)
+        return climb(model, model.terms, model.blocks, start, _SCORING_STEPS)
 
 
 def _statistics(white: Floats) -> Floats:
