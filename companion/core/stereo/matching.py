@@ -91,9 +91,9 @@ def match(
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 
 
-def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int, most: int = 200) -> MatchSet:
+def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int) -> MatchSet:
     """Match a frame pair and give the record that is handed on (and recorded for replay)."""
-    matches = match(pair.left.image, pair.right.image, rig, search, most)
+    matches = match(pair.left.image, pair.right.image, rig, search)
     return MatchSet(
         pair_id=pair.pair_id,
         plan_id=pair.left.plan_id,
