@@ -24,7 +24,8 @@ from companion.records import Side
 from tools.trial_generators import FIRST, Generator
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import Trial
-from tools.trial_truths.cases import IN_SAMPLES, Hidden, Tables
+from tools.trial_truths.cases import Hidden, Tables
+from tools.trial_truths.strengths import IN_SAMPLES
 
 
 def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:

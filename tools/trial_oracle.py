@@ -10,7 +10,8 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit
 from companion.diagnosis.selection.cross_validation import cross_validate
-from tools.trial_truths.cases import IN_SAMPLES, Hidden
+from tools.trial_truths.cases import Hidden
+from tools.trial_truths.strengths import IN_SAMPLES
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
 

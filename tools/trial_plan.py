@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tools.trial_generators import FIRST, GENERATORS, STRANGER, Generator
-from tools.trial_truths.cases import IN_SAMPLES, SIGMA, Hidden
+from tools.trial_truths.cases import Hidden
+from tools.trial_truths.strengths import IN_SAMPLES, SIGMA
 
 STRONG = (8.0, 14.0)
 _TOGETHER = 60

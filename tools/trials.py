@@ -32,7 +32,7 @@ from tools.trial_plan import STRONG, Trial, acceptance, nothing, outside, severa
 from tools.trial_report import draw, summary, table
 from tools.trial_results import commit, results
 from tools.trial_tasks import PARTS, Batch, JudgementTask, judge_task, parts
-from tools.trial_truths.cases import IN_SAMPLES
+from tools.trial_truths.strengths import IN_SAMPLES
 
 _BATCH = 60
 _PUBLISHED = Path(__file__).resolve().parents[1] / "sitl_tests" / "trials"

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tools.trial_truths.cases import IN_SAMPLES, Hidden, Tables, participation
+from tools.trial_truths.cases import Hidden, Tables
 from tools.trial_truths.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
 from tools.trial_truths.stranger.sensors import record
+from tools.trial_truths.strengths import IN_SAMPLES, participation
 
 SIGMA: dict[str, float] = {
     "frequency-shift": 0.0073,
