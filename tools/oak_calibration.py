@@ -61,9 +61,9 @@ def main(arguments: list[str] | None = None) -> int:
             write(options.file, airframe, (left, right))
             print(f"wrote {options.file}")
         else:
-            found = read(options.file, airframe, (left, right))
+            calibrated = read(options.file, airframe, (left, right))
             options.out.parent.mkdir(parents=True, exist_ok=True)
-            options.out.write_text(dump_airframe(found), encoding="utf-8")
+            options.out.write_text(dump_airframe(calibrated), encoding="utf-8")
             print(f"wrote {options.out}")
     except SpanwiseError as error:
         print(f"oak_calibration: {error}", file=sys.stderr)

@@ -10,9 +10,9 @@ import numpy as np
 from companion.evaluation.flight_models import top_of
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
-from sitl_tests.trials import belief, cases
-from sitl_tests.trials.stranger import airframe as stranger_airframe
-from sitl_tests.trials.stranger import cases as stranger_cases
+from tools.trial_truths import belief, cases, strengths
+from tools.trial_truths.stranger import airframe as stranger_airframe
+from tools.trial_truths.stranger import cases as stranger_cases
 
 _TOP_HZ = 51.2
 Flights = list[cases.Tables]
@@ -49,7 +49,7 @@ def _stranger_airframe(_snr_db: float, corner_hz: float) -> Airframe:
 
 FIRST = Generator(
     "first",
-    (*cases.SIGMA, *cases.SEEN),
+    (*strengths.SIGMA, *strengths.IN_SAMPLES),
     (),
     (0.0, 0.0, 12.0, 30.0),
     cases.hide,
@@ -60,7 +60,7 @@ FIRST = Generator(
 )
 STRANGER = Generator(
     "stranger",
-    (*stranger_cases.SIGMA, *cases.SEEN),
+    (*stranger_cases.SIGMA, *strengths.IN_SAMPLES),
     tuple(stranger_cases.OUTSIDE),
     stranger_cases.CORNERS_HZ,
     stranger_cases.hide,

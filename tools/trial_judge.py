@@ -21,10 +21,11 @@ from companion.diagnosis.selection.forward_selection import SAME
 from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
 from companion.records import Side
-from sitl_tests.trials.cases import SEEN, Hidden, Tables
 from tools.trial_generators import FIRST, Generator
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import Hidden, Tables
+from tools.trial_truths.strengths import IN_SAMPLES
 
 
 def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:
@@ -33,24 +34,24 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     airframe = trial.hand.airframe(trial.snr_db, trial.corner_hz)
     kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
     model = model_of(tables, airframe, trial.hand.top_hz)
-    found = diagnose([model], kinds)
-    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, units_of(tables, trial.hand))
-    if trial.oracle and not leave_out and found.gain is not None:
-        row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
-    if leave_out and found.causes:
-        row["own_group"] = own_group(model, found, trial.label)
+    diagnosis = diagnose([model], kinds)
+    row = judge(trial.label, diagnosis, time.process_time() - begun, trial.snr_db, units_of(tables, trial.hand))
+    if trial.oracle and not leave_out and diagnosis.gain is not None:
+        row["oracle_gain"] = oracle_gain(model, diagnosis.null, trial.label)
+    if leave_out and diagnosis.causes:
+        row["own_group"] = own_group(model, diagnosis, trial.label)
     row |= {"generator": trial.generator}
     return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
 
 
-def own_group(model: FlightModel, found: FlightDiagnosis, label: Hidden) -> bool:
+def own_group(model: FlightModel, diagnosis: FlightDiagnosis, label: Hidden) -> bool:
     """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
-    names = {*(set(label.effects) & set(catalogue())), *(cause.term.effect.name for cause in found.causes)}
+    names = {*(set(label.effects) & set(catalogue())), *(cause.term.effect.name for cause in diagnosis.causes)}
     kinds = [catalogue()[name] for name in sorted(names)]
-    offered = candidates_of(kinds, sorted(model.observations.covariates), find_proposals([model], found.null))
-    screening = screen([model], found.null, offered)
-    mine = [one.name in label.effects for one in screening.candidates]
-    across = np.abs(screening.correlation[np.ix_(mine, np.logical_not(mine))])
+    offered = candidates_of(kinds, sorted(model.observations.covariates), find_proposals([model], diagnosis.null))
+    screening = screen([model], diagnosis.null, offered)
+    is_hidden = [candidate.name in label.effects for candidate in screening.candidates]
+    across = np.abs(screening.correlation[np.ix_(is_hidden, np.logical_not(is_hidden))])
     return bool(across.size and np.max(across) > SAME)
 
 
@@ -61,8 +62,8 @@ def model_of(tables: Tables, airframe: Airframe, top_hz: float = 51.2) -> Flight
     channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
     rigid = dict(tables.root)
     root = RawStream(*rigid.pop("z")) if rigid else None
-    (seen,) = observe(RawRecording(tips, root, ranges, channels, rigid), airframe, top_hz)
-    return FlightModel(belief_for(airframe, [[seen]]), seen, top_hz)
+    (observations,) = observe(RawRecording(tips, root, ranges, channels, rigid), airframe, top_hz)
+    return FlightModel(belief_for(airframe, [[observations]]), observations, top_hz)
 
 
 def swings(tables: Tables, hand: Generator = FIRST) -> dict[str, float]:
@@ -83,47 +84,49 @@ def units_of(tables: Tables, hand: Generator) -> dict[str, float]:
 
 def judge(
     label: Hidden,
-    found: FlightDiagnosis,
+    diagnosis: FlightDiagnosis,
     seconds: float,
     snr_db: float = 20.0,
     units: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Open the label and compare; ``units`` by effect: what one unit of its magnitude is in the diagnosis' own."""
-    named = [cause.term.effect.name for cause in found.causes]
-    groups = [{cause.term.effect.name, *cause.group} for cause in found.causes]
+    named = [cause.term.effect.name for cause in diagnosis.causes]
+    groups = [{cause.term.effect.name, *cause.group} for cause in diagnosis.causes]
     hidden = sorted(label.effects)
     if not hidden:
-        right = exact = found.verdict == "adequate"
+        right = exact = diagnosis.verdict == "adequate"
     else:
         right = len(named) == len(hidden) and all(any(name in group for group in groups) for name in hidden)
         exact = sorted(named) == hidden
     return {
         "hidden": label.effects,
         "sigmas": {
-            name: label.strength(name, snr_db) for name in label.effects if name in catalogue() and name not in SEEN
+            name: label.strength(name, snr_db)
+            for name in label.effects
+            if name in catalogue() and name not in IN_SAMPLES
         },
         "seal": label.seal,
-        "verdict": str(found.verdict),
-        "reason": found.reason,
+        "verdict": str(diagnosis.verdict),
+        "reason": diagnosis.reason,
         "named": named,
         "groups": [sorted(group) for group in groups],
-        "nearest": found.nearest,
-        "nearest_causes": [cause.term.effect.name for cause in found.nearest_causes],
-        "z": [cause.z for cause in found.causes],
-        "right": bool(right and found.verdict in ("explained", "adequate")),
-        "exact": bool(exact and found.verdict in ("explained", "adequate")),
-        "inside_95": _inside(label, found, units) if exact and len(hidden) == 1 else None,
-        "gain": found.gain.log_score["total"][0] if found.gain is not None else None,
-        "worst_checks": [[entry.name, entry.z] for entry in found.after[:3]],
+        "nearest": diagnosis.nearest,
+        "nearest_causes": [cause.term.effect.name for cause in diagnosis.nearest_causes],
+        "z": [cause.z for cause in diagnosis.causes],
+        "right": bool(right and diagnosis.verdict in ("explained", "adequate")),
+        "exact": bool(exact and diagnosis.verdict in ("explained", "adequate")),
+        "inside_95": _inside(label, diagnosis, units) if exact and len(hidden) == 1 else None,
+        "gain": diagnosis.gain.log_score["total"][0] if diagnosis.gain is not None else None,
+        "worst_checks": [[entry.name, entry.z] for entry in diagnosis.after[:3]],
         "cpu_s": seconds,
     }
 
 
-def _inside(label: Hidden, found: FlightDiagnosis, units: Mapping[str, float]) -> bool | None:
+def _inside(label: Hidden, diagnosis: FlightDiagnosis, units: Mapping[str, float]) -> bool | None:
     """Whether the hidden magnitude lies in the interval of the parameter that it is."""
     ((name, truth),) = label.effects.items()
-    cause = found.causes[0]
-    if name in SEEN or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
+    cause = diagnosis.causes[0]
+    if name in IN_SAMPLES or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
         return None  # told by amplitude and phase, or seen without a fit
     which = label.side if name in ("accel-scale", "accel-bias") else 0
     return abs(cause.values[which] - truth * units.get(name, 1.0)) < 1.96 * cause.sigmas[which]

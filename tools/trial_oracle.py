@@ -10,14 +10,15 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, fit
 from companion.diagnosis.selection.cross_validation import cross_validate
-from sitl_tests.trials.cases import SEEN, Hidden
+from tools.trial_truths.cases import Hidden
+from tools.trial_truths.strengths import IN_SAMPLES
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
 
 
 def oracle_gain(model: FlightModel, null: FlightFit, label: Hidden) -> float | None:
     """Held-out gain of the hidden effect, nats; None for several, for none, and for what samples themselves show."""
-    if len(label.effects) != 1 or next(iter(label.effects)) in SEEN:
+    if len(label.effects) != 1 or next(iter(label.effects)) in IN_SAMPLES:
         return None
     try:
         refitted = fit([model], [true_part(label)], null.values)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl_tests.trials.cases import SEEN, SIGMA, Hidden
 from tools.trial_generators import FIRST, GENERATORS, STRANGER, Generator
+from tools.trial_truths.cases import Hidden
+from tools.trial_truths.strengths import IN_SAMPLES, SIGMA
 
 STRONG = (8.0, 14.0)
 _TOGETHER = 60
@@ -53,7 +54,7 @@ class Trial:
 def singles(
     rng: np.random.Generator,
     snr_db: float = 20.0,
-    names: Sequence[str] = (*SIGMA, *SEEN),
+    names: Sequence[str] = (*SIGMA, *IN_SAMPLES),
     strength: tuple[float, float] = STRONG,
     judged: tuple[bool, ...] = (False,),
     oracle: bool = False,
@@ -71,7 +72,7 @@ def several(
 ) -> list[Trial]:
     """``how_many`` trials with ``count`` effects each, which no sample gives away."""
     kind = {2: "pair", 3: "triple"}[count]
-    names = [name for name in hand.names if name not in SEEN]
+    names = [name for name in hand.names if name not in IN_SAMPLES]
     return [
         Trial(
             kind, hand.hide(rng.choice(names, count, replace=False).tolist(), strength, rng, 20.0), generator=hand.name

@@ -13,20 +13,20 @@ Rows = Sequence[dict[str, Any]]
 
 def summary(rows: Rows) -> dict[str, Any]:
     """Counts by kind of trial and SNR: of each figure how many, and out of how many."""
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for snr in sorted({row["snr_db"] for row in rows}):
-        mine = [row for row in rows if row["snr_db"] == snr]
+        at_snr = [row for row in rows if row["snr_db"] == snr]
         kinds = {
-            "one effect": [row for row in mine if row["kind"] == "single" and not row["left_out"]],
-            "one effect by strength": [row for row in mine if row["kind"] == "curve" and not row["left_out"]],
-            "two effects": [row for row in mine if len(row["hidden"]) == 2 and not row["left_out"]],
-            "three effects": [row for row in mine if len(row["hidden"]) == 3 and not row["left_out"]],
-            "nothing hidden": [row for row in mine if not row["hidden"]],
-            "left out of the catalogue": [row for row in mine if row["left_out"] and row["kind"] != "outside"],
-            "never in the catalogue": [row for row in mine if row["kind"] == "outside"],
+            "one effect": [row for row in at_snr if row["kind"] == "single" and not row["left_out"]],
+            "one effect by strength": [row for row in at_snr if row["kind"] == "curve" and not row["left_out"]],
+            "two effects": [row for row in at_snr if len(row["hidden"]) == 2 and not row["left_out"]],
+            "three effects": [row for row in at_snr if len(row["hidden"]) == 3 and not row["left_out"]],
+            "nothing hidden": [row for row in at_snr if not row["hidden"]],
+            "left out of the catalogue": [row for row in at_snr if row["left_out"] and row["kind"] != "outside"],
+            "never in the catalogue": [row for row in at_snr if row["kind"] == "outside"],
         }
-        found[f"{snr:g} dB"] = {name: _figures(name, part) for name, part in kinds.items() if part}
-    return found
+        figures[f"{snr:g} dB"] = {name: _figures(name, of_kind) for name, of_kind in kinds.items() if of_kind}
+    return figures
 
 
 def _figures(name: str, rows: Rows) -> dict[str, Any]:
@@ -73,10 +73,10 @@ def _strength(row: dict[str, Any]) -> int | None:
     return round(max(row["sigmas"].values())) if row["sigmas"] else None
 
 
-def table(rows: Rows, found: dict[str, Any]) -> str:
+def table(rows: Rows, summarised: dict[str, Any]) -> str:
     """Every trial in one line, then the figures."""
     lines = [_line(row) for row in sorted(rows, key=lambda row: (row["left_out"], sorted(row["hidden"])))]
-    for snr, kinds in found.items():
+    for snr, kinds in summarised.items():
         for kind, figures in kinds.items():
             lines.append(f"\n{kind}, {snr}")
             for name, value in figures.items():
@@ -121,15 +121,17 @@ def draw(rows: Rows, path: Path) -> None:
         cell = truths.index(truth), answers.index(answer)
         counts[cell] += 1
         grouped[cell] |= row["right"] and not row["exact"]
-    share = counts / np.maximum(counts.sum(1, keepdims=True), 1.0)
+    row_fraction = counts / np.maximum(counts.sum(1, keepdims=True), 1.0)
     size = 2.5 + 0.27 * len(answers)
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")
     axis = figure.subplots()
-    image = axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    image = axis.imshow(row_fraction, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (i, j), count in np.ndenumerate(counts):
         if count:
             text = f"{count:g}" + ("*" if grouped[i, j] else "")
-            axis.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if share[i, j] > 0.6 else "black")
+            axis.text(
+                j, i, text, ha="center", va="center", fontsize=8, color="white" if row_fraction[i, j] > 0.6 else "black"
+            )
     axis.set_xticks(range(len(answers)), answers, rotation=90, fontsize=8)
     axis.set_yticks(range(len(truths)), truths, fontsize=8)
     axis.set_xticks(np.arange(-0.5, len(answers)), minor=True)

@@ -67,10 +67,10 @@ def _flown(rows: Rows, hand: str, promised: int) -> str:
 def _figures(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
     """Cell and what is wanted, by title and figure."""
     table: dict[tuple[str, str], tuple[str, str]] = {}
-    for kind, snr, part in _parts(rows):
+    for kind, snr, of_kind in _parts(rows):
         title = kind + (f", {snr:g} dB" if snr is not None else "")
-        for name, counted in _counts(kind, part).items():
-            table[title, name] = _share(counted, len(part)), _WANTED.get((kind, snr, name), "")
+        for name, counted in _counts(kind, of_kind).items():
+            table[title, name] = _proportion(counted, len(of_kind)), _WANTED.get((kind, snr, name), "")
     return table | _intervals(rows) | _gains(rows) | _seconds(rows)
 
 
@@ -83,24 +83,24 @@ def wilson(counted: int, total: int) -> tuple[float, float]:
     return max((middle - half) / (1.0 + z2), 0.0), min((middle + half) / (1.0 + z2), 1.0)
 
 
-def _share(counted: int, total: int) -> str:
+def _proportion(counted: int, total: int) -> str:
     low, high = wilson(counted, total)
     return f"{counted}/{total}: {100 * counted / total:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _parts(rows: Rows) -> list[tuple[str, float | None, Rows]]:
-    found: list[tuple[str, float | None, Rows]] = []
+    groups: list[tuple[str, float | None, Rows]] = []
     for kind in ("single", "pair", "triple"):
         for snr in sorted({row["snr_db"] for row in rows}, reverse=True):
-            found.append((kind, snr, [r for r in rows if _is(r, kind) and r["snr_db"] == snr]))
+            groups.append((kind, snr, [r for r in rows if _is(r, kind) and r["snr_db"] == snr]))
     for strength in sorted({_strength(row) for row in rows if _is(row, "curve")}):
-        mine = [row for row in rows if _is(row, "curve") and _strength(row) == strength]
-        found.append((f"curve {strength}", 20.0, mine))
-    found.append(("nothing", None, [row for row in rows if not row["hidden"]]))
+        of_strength = [row for row in rows if _is(row, "curve") and _strength(row) == strength]
+        groups.append((f"curve {strength}", 20.0, of_strength))
+    groups.append(("nothing", None, [row for row in rows if not row["hidden"]]))
     for snr in sorted({row["snr_db"] for row in rows}):
-        found.append(("left out", snr, [row for row in rows if _taken_away(row) and row["snr_db"] == snr]))
-    found.append(("outside the catalogue", 20.0, [row for row in rows if row["kind"] == "outside"]))
-    return [entry for entry in found if entry[2]]
+        groups.append(("left out", snr, [row for row in rows if _taken_away(row) and row["snr_db"] == snr]))
+    groups.append(("outside the catalogue", 20.0, [row for row in rows if row["kind"] == "outside"]))
+    return [entry for entry in groups if entry[2]]
 
 
 def _is(row: dict[str, Any], kind: str) -> bool:
@@ -135,11 +135,11 @@ def _counts(kind: str, rows: Rows) -> dict[str, int]:
 
 
 def _intervals(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
-    known = [row["inside_95"] for row in rows if row["inside_95"] is not None and row["kind"] != "curve"]
-    if not known:
+    inside = [row["inside_95"] for row in rows if row["inside_95"] is not None and row["kind"] != "curve"]
+    if not inside:
         return {}
     wanted = _WANTED["interval", None, "truth inside 95 %"]
-    return {("intervals", "truth inside 95 %"): (_share(sum(known), len(known)), wanted)}
+    return {("intervals", "truth inside 95 %"): (_proportion(sum(inside), len(inside)), wanted)}
 
 
 def _gains(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
@@ -152,8 +152,8 @@ def _gains(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
     shares = {"median": ratios[len(ratios) // 2], "worst": ratios[0]}
     title = "gain as a share of the oracle's"
     return {
-        (title, name): (f"{100 * share:.0f} % of {len(ratios)}", _WANTED["gain", None, name])
-        for name, share in shares.items()
+        (title, name): (f"{100 * ratio:.0f} % of {len(ratios)}", _WANTED["gain", None, name])
+        for name, ratio in shares.items()
     }
 
 
@@ -186,13 +186,13 @@ def _misses(rows: Rows) -> list[str]:
             "; ".join("/".join(group) for group in row["groups"])
             or f"({', '.join(row['nearest_causes']) or row['nearest']})"
         )
-        left = row["worst_checks"][0] if row["worst_checks"] else ["", 0.0]
-        lines.append(f"| {hidden} | {row['verdict']} | {named} | {left[0]} {left[1]:+.1f} |")
+        worst = row["worst_checks"][0] if row["worst_checks"] else ["", 0.0]
+        lines.append(f"| {hidden} | {row['verdict']} | {named} | {worst[0]} {worst[1]:+.1f} |")
     return lines
 
 
 def commit() -> str:
     """The code that is being run: its last commit, and the day."""
     asked = ["git", "log", "-1", "--format=%h of %ad", "--date=short"]
-    told = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    return told.stdout.strip() or "unknown"
+    answer = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return answer.stdout.strip() or "unknown"

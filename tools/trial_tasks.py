@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sitl_tests.trials.cases import Tables
 from tools.trial_judge import judge_trial
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import Tables
 
 PARTS = "judgements"
 

@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 
 from companion.evaluation.fleet.campaign import work_off
-from sitl_tests.trials.cases import SEEN
 from tools.trial_generators import FIRST, GENERATORS, STRANGER
 from tools.trial_plan import STRONG, Trial, acceptance, nothing, outside, several, singles, strangers_acceptance
 from tools.trial_report import draw, summary, table
 from tools.trial_results import commit, results
 from tools.trial_tasks import PARTS, Batch, JudgementTask, judge_task, parts
+from tools.trial_truths.strengths import IN_SAMPLES
 
 _BATCH = 60
 _PUBLISHED = Path(__file__).resolve().parents[1] / "sitl_tests" / "trials"
@@ -70,7 +70,7 @@ def _plan(options: argparse.Namespace) -> list[list[Trial]]:
     judged = (options.leave_out,)
     trials: list[Trial] = []
     for _ in range(options.each):
-        names = [name for name in options.only or hand.names if name not in SEEN or not options.curve]
+        names = [name for name in options.only or hand.names if name not in IN_SAMPLES or not options.curve]
         for size in options.curve or [None]:
             strength = (size, size) if size else tuple(options.strength)
             kind = "curve" if size else "single"
@@ -96,8 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             shutil.rmtree(options.out / PARTS, ignore_errors=True)
         run(batches, options.seed, options.out, options.duration, options.workers, options.scheduler)
     rows = parts(options.out)
-    found = summary(rows)
-    (options.out / "summary.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    figures = summary(rows)
+    (options.out / "summary.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     (options.out / "RESULTS.md").write_text(results(rows), encoding="utf-8")
     draw(rows, options.out / "confusion.png")
     if options.publish:
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         alone = all(row.get("generator") == STRANGER.name for row in rows)
         for name in ("RESULTS.md", "confusion.png"):
             shutil.copyfile(options.out / name, (_PUBLISHED / STRANGER.name if alone else _PUBLISHED) / name)
-    print(table(rows, found))
+    print(table(rows, figures))
     return 0
 
 

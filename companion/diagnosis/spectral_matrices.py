@@ -14,7 +14,7 @@ Complexes = npt.NDArray[np.complex128]
 
 
 def product(a: Complexes, b: Complexes) -> Complexes:
-    """Matrix product at every frequency."""
+    """Matrix product (i, k, f) of (i, j, f) and (j, k, f) at every frequency."""
     if a.ndim == 2 and b.ndim == 2:
         return np.asarray(a * b)
     if a.ndim == 2:
@@ -38,12 +38,12 @@ def apply(a: Complexes, vector: Complexes) -> Complexes:
 
 
 def adjoint(a: Complexes) -> Complexes:
-    """Conjugate transpose."""
+    """Conjugate transpose (j, i, f) of (i, j, f)."""
     return np.asarray(a.conj() if a.ndim == 2 else a.conj().swapaxes(0, 1))
 
 
 def full(a: Complexes) -> Complexes:
-    """A diagonal matrix written out."""
+    """A diagonal matrix (n, f) written out, (n, n, f)."""
     if a.ndim == 3:
         return a
     result = np.zeros((len(a), *a.shape), dtype=np.complex128)
@@ -52,7 +52,7 @@ def full(a: Complexes) -> Complexes:
 
 
 def inverse(a: Complexes) -> Complexes:
-    """Inverse at every frequency; elimination without pivots, which damped oscillators and covariances allow."""
+    """Inverses (n, n, f); elimination without pivots, which damped oscillators and covariances allow."""
     if a.ndim == 2:
         return np.asarray(1.0 / a)
     n = len(a)
@@ -97,5 +97,5 @@ def log_determinant(a: Complexes) -> Floats:
 
 
 def quadratic_form(a: Complexes, vector: Complexes) -> float:
-    """Sum over frequencies of vector^H a vector, for Hermitian ``a``."""
+    """Sum over frequencies of vector^H a vector, for Hermitian ``a`` (n, n, f) and ``vector`` (n, f)."""
     return float(np.sum((vector.conj() * apply(a, vector)).real))

@@ -71,7 +71,7 @@ def sigma_calibration(shots: Shots, outputs: PipelineOutputs) -> dict[str, Any]:
 def trigger_summary(
     geometry: TrueGeometry, outputs: PipelineOutputs, shots: Shots, blur: Mapping[str, Floats]
 ) -> dict[str, Any]:
-    """How near to the true peaks the aimed shots were exposed, beside limit and chance, and the blur by the wing."""
+    """How near to true peaks the aimed shots were exposed, beside limit and chance, and the wing's blur, (n,) px."""
     late = [shot.fired_host_ns - shot.planned_host_ns for shot in outputs.shots.values()]
     plans = [plan for plan in outputs.plans.values() if plan.firing is Firing.PEAK]
     matches = [outputs.matches[pair_id] for pair_id in shots.ids]

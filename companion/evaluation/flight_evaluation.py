@@ -136,7 +136,7 @@ def _random_pulls(geometry: TrueGeometry) -> list[Pull]:
 
 
 def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
-    """Pulls of the line at ``edges_s`` (boot time), whose matches are ready a tenth of a second later."""
+    """Pulls of the line at ``edges_s`` (n,) (boot time), whose matches are ready a tenth of a second later."""
     edges_ns = [start_host_ns + int(edge_s * 1e9) for edge_s in edges_s]
     earlier_ns = [None, *edges_ns[:-1]]
     return [

@@ -171,7 +171,7 @@ class FlightLog:
         return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
 
     def blur_px(self) -> tuple[Floats, Floats]:
-        """Predicted blur of each plan to fire, px, and the last range when it was made, m (NaN before any)."""
+        """Predicted blur (n,) of each plan to fire, px, and the last range (n,) when made, m (NaN before any)."""
         return np.array([plan.blur_px for plan in self._plans.values()]), np.array(list(self._planned_at_m.values()))
 
     def plan_outcomes(self) -> dict[str, int]:

@@ -49,12 +49,12 @@ class Scored:
 
 
 def rms(values: Sequence[float] | Floats) -> float:
-    """Root mean square, NaN of nothing."""
+    """Root mean square of values (n,), NaN of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def slow_part(t_s: Floats, values: Floats, cutoff_hz: float) -> Floats:
-    """Low-pass of unevenly spaced values: local line fit under a Gaussian kernel, half power at ``cutoff_hz``."""
+    """Low-pass of unevenly spaced values (n,): local line fit under a Gaussian kernel, half power at ``cutoff_hz``."""
     # |exp(-(2 pi f s)^2 / 2)|^2 = 1/2 at the cut-off
     width_s = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz)
     lag_s = t_s[None, :] - t_s[:, None]
@@ -69,7 +69,7 @@ def slow_part(t_s: Floats, values: Floats, cutoff_hz: float) -> Floats:
 
 
 def spread(values: Floats, scale: float = 1.0) -> dict[str, float]:
-    """Number, rms, and median and 95th percentile of the magnitude; empty input gives only ``n``."""
+    """Number, rms, and median and 95th percentile of the magnitude of values (n,); empty input gives only ``n``."""
     if not len(values):
         return {"n": 0}
     magnitude = np.abs(values) * scale
@@ -82,7 +82,7 @@ def spread(values: Floats, scale: float = 1.0) -> dict[str, float]:
 
 
 def near(z_true_m: Floats, distance_m: float) -> Bools:
-    """Mask of the shots that count for a distance."""
+    """Mask (n,) of the shots that count for a distance."""
     mask: Bools = np.abs(z_true_m - distance_m) <= _NEAR * distance_m
     return mask
 

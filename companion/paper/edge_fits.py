@@ -29,7 +29,7 @@ class Fitted:
         return np.asarray(0.5 * (self.leading.deflection(span_m) + self.trailing.deflection(span_m)))
 
     def slope(self, span_m: Floats) -> Floats:
-        """d/dy of it."""
+        """Its d/dy at stations (k,)."""
         return np.asarray(0.5 * (self.leading.slope(span_m) + self.trailing.slope(span_m)))
 
     @property

@@ -109,7 +109,7 @@ def convergence() -> dict[str, float]:
 
 
 def eq_7_as_printed(axis: Floats, angle_rad: float) -> Floats:
-    """The matrix of eq. 7, letter by letter."""
+    """The matrix (3, 3) of eq. 7, letter by letter; ``axis`` (3,)."""
     x, y, z = axis.tolist()
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     v = 1.0 - c
@@ -123,7 +123,7 @@ def eq_7_as_printed(axis: Floats, angle_rad: float) -> Floats:
 
 
 def defect(matrix: Floats) -> float:
-    """How far a matrix is from a rotation: the largest entry of ``R R^T - I``."""
+    """How far a matrix (3, 3) is from a rotation: the largest entry of ``R R^T - I``."""
     return float(np.max(np.abs(matrix @ matrix.T - np.eye(3))))
 
 

@@ -111,7 +111,7 @@ class _Run:
 def fly(
     flight: Flight, scene: Scene, settings: Settings, counted_s: tuple[float, float], random_edges_ns: Ints
 ) -> Flown:
-    """Fly through; shots at the planner's instants and at random edges (boot ns), within ``counted_s``.
+    """Fly through; shots at the planner's instants and at random edges (n,) (boot ns), within ``counted_s``.
 
     The planner's shots begin :data:`WARM_UP_S` earlier; those are not scored.
     """

@@ -86,7 +86,7 @@ def measured_points(folder: Path) -> ModalPoints:
 
 
 def modal_points(stations_m: Floats, peaks: Floats, resonances_hz: Floats) -> ModalPoints:
-    """Sort runs (n, 2: leading, trailing) by span station."""
+    """Sort runs (n, 2) by span station; columns: leading, trailing edge."""
     edges = []
     for edge in (0, 1):
         order = np.argsort(stations_m[:, edge])

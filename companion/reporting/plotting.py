@@ -55,7 +55,7 @@ def with_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def dots(axis: Any, x: Floats, y: Floats, sigma: Floats, colour: str, label: str | None = None) -> None:
-    """Points with thin bars of one sigma, which do not hide one another."""
+    """Points (n,) with thin bars of one sigma, which do not hide one another."""
     axis.errorbar(x, y, sigma, fmt=".", ms=3.5, color=colour, ecolor=colour, elinewidth=0.5, alpha=0.8, label=label)
 
 

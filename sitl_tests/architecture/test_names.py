@@ -12,7 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = sorted((ROOT / "companion").rglob("*.py")) + sorted((ROOT / "mission_scripts").rglob("*.py"))
 MODULES = {str(path.relative_to(ROOT)): path for path in PACKAGE}
-PROGRAMS = {str(path.relative_to(ROOT)): path for top in ("sitl_tests", "tools") for path in (ROOT / top).rglob("*.py")}
+PROGRAMS = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "tools").rglob("*.py"))}
+TESTS = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "sitl_tests").rglob("*.py"))}
 
 # words that carry no type of thing; ``left`` is a wing, so it is not among them
 EMPTY_WORDS = frozenset(
@@ -25,6 +26,7 @@ ON_DISK = {("companion/records/ranging.py", "known"), ("companion/core/wing/effe
 # what things were called before they had the field's name
 RETIRED = frozenset(
     (
+        "_ROUNDS",
         "_without_idle_seconds",
         "astray",
         "bridged",
@@ -124,9 +126,9 @@ def test_a_class_name_stands_for_one_thing() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", [*MODULES, *PROGRAMS])
 def test_no_variable_is_called_by_an_empty_word(name: str) -> None:
-    names = {defined for defined in _defined(_tree(MODULES[name])) if (name, defined) not in ON_DISK}
+    names = {defined for defined in _defined(_tree(ROOT / name)) if (name, defined) not in ON_DISK}
     assert {defined for defined in names if defined.strip("_").lower() in EMPTY_WORDS} == set()
 
 
@@ -135,7 +137,7 @@ def test_no_retired_name_is_back(name: str) -> None:
     assert RETIRED & set(_defined(_tree(MODULES[name]))) == set()
 
 
-@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS}))
+@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS, **TESTS}))
 def test_no_docstring_opens_with_an_empty_word(name: str) -> None:
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     texts = [ast.get_docstring(node) or "" for node in ast.walk(_tree(ROOT / name)) if isinstance(node, kinds)]

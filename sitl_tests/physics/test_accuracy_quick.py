@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sitl_tests.reference.truth import simulate
 from tools.bench.accuracy import CellTask, table
 from tools.bench.accuracy_belief import Perturbation, believed_airframe
 from tools.bench.accuracy_cases import DAMPINGS, FREQUENCIES_HZ, SHAPES, SUITES, Cell, cells
 from tools.bench.accuracy_peaks import Issue, issues_of, miss_s
 from tools.bench.accuracy_score import Score, as_row, from_row, score_cell
+from tools.reference.truth import simulate
 
 
 def _score(ratio: float, label: str = "a", seed: int = 0) -> Score:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl_tests.trials.cases import Hidden, noise_density
-from sitl_tests.trials.wing import World, integrate
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import Hidden, noise_density
+from tools.trial_truths.wing import World, integrate
 from tools.trials import run
 
 LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay": 0.0025})]

@@ -18,9 +18,9 @@ from companion.diagnosis.flights.recordings import Flights
 from companion.evaluation.flight_models import models_of
 from companion.params.files import load_airframe
 from companion.records import Floats
-from sitl_tests.trials.stranger.folder import GRAVITY, Flight, write
 from tools.trial_generators import GENERATORS
 from tools.trial_judge import model_of
+from tools.trial_truths.stranger.folder import GRAVITY, Flight, write
 
 AIRFRAME = Path(__file__).parents[2] / "config" / "airframes" / "nadir-2m.toml"
 

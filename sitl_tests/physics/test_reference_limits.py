@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl_tests.reference.discretise import averages, riccati, stacked, steady_errors
-from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.single_tip import ACCEL_DENSITY, GYRO_DENSITY, SLOPE_RADPM, averaged, gust_density, held
-from sitl_tests.reference.spec import DRYDEN, FIVE_TWENTY, GRAVITY_MPS2, WHITE, ModeSpec
+from tools.reference.discretise import averages, riccati, stacked, steady_errors
+from tools.reference.load import chain, intensity
+from tools.reference.single_tip import ACCEL_DENSITY, GYRO_DENSITY, SLOPE_RADPM, averaged, gust_density, held
+from tools.reference.spec import DRYDEN, FIVE_TWENTY, GRAVITY_MPS2, WHITE, ModeSpec
 
 # an independent computation: (f, zeta, rms, drift) -> axes -> percent causal / smoothed, relative slope in mrad
 TABLE = {

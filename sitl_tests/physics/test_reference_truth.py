@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from companion.records import Axis, Station
-from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks, samples
-from sitl_tests.reference.oracle import Oracle
-from sitl_tests.reference.rigid import LEVEL, RigidMotion, flight
-from sitl_tests.reference.spec import (
+from tools.reference.imu import EPOCH_HOST_NS, chunks, samples
+from tools.reference.oracle import Oracle
+from tools.reference.rigid import LEVEL, RigidMotion, flight
+from tools.reference.spec import (
     DRYDEN,
     FIVE_TWENTY,
     GRAVITY_MPS2,
@@ -23,7 +23,7 @@ from sitl_tests.reference.spec import (
     SensorSpec,
     TruthSpec,
 )
-from sitl_tests.reference.truth import STEP_S, simulate
+from tools.reference.truth import STEP_S, simulate
 
 MODE = ModeSpec(5.0, 0.05, 0.005)
 QUIET = {

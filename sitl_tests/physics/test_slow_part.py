@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from companion.sim.flight.flight import build_flight
-from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, one, run, wide_airframe
+from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, run, score_flight, wide_airframe
 
 pytestmark = pytest.mark.long
 
@@ -53,7 +53,7 @@ def test_tips_without_a_lateral_axis_do_not_claim_to_know_their_trim() -> None:
     base, count = wide_airframe(), 6
     left, right = (dataclasses.replace(tip, sends="xzpqr") for tip in (base.left, base.right))
     airframe = dataclasses.replace(base, left=left, right=right)
-    rows = [one(seed, 40.0, airframe)[WAYS.index("tilt only")] for seed in range(1, count + 1)]
+    rows = [score_flight(seed, 40.0, airframe)[WAYS.index("tilt only")] for seed in range(1, count + 1)]
     assert _rms(rows, "whole_over_sigma") < np.sqrt(chi2.ppf(0.995, count) / count)
 
 

@@ -10,11 +10,11 @@ import pytest
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Station
-from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks, samples
-from sitl_tests.reference.spec import SensorSpec, TruthSpec
-from sitl_tests.reference.truth import simulate
 from tools.bench.accuracy_belief import believed_airframe
 from tools.bench.accuracy_cases import Cell, cells
+from tools.reference.imu import EPOCH_HOST_NS, chunks, samples
+from tools.reference.spec import SensorSpec, TruthSpec
+from tools.reference.truth import simulate
 
 
 def ten_hertz() -> Cell:

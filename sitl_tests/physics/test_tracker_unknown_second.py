@@ -6,10 +6,10 @@ import pytest
 
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
-from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks, samples
-from sitl_tests.reference.truth import simulate
 from tools.bench.accuracy_belief import believed_airframe
 from tools.bench.accuracy_cases import Cell, cells
+from tools.reference.imu import EPOCH_HOST_NS, chunks, samples
+from tools.reference.truth import simulate
 
 LENGTH_S = 6.0
 

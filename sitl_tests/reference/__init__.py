@@ -1,1 +1,1 @@
-"""An oracle that shares no code with the estimator: its own wing truth, its own sensors, its own optimal filter."""
+"""Readable versions of the compiled inner loops, to which tests hold the C; they share no code with it."""

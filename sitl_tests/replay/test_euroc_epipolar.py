@@ -17,8 +17,8 @@ from companion.core.stereo.epipolar_states import ExtrinsicsPrior
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import CONSIDERED
 from companion.core.stereo.rotation import exp_rotation
-from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, euroc_airframe, flexed_pairs, rays_of, rotations
-from sitl_tests.replay.euroc_judging import TUNED, calibration_error, cramer_rao, estimate, split, tuned_prior
+from tools.bench.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, euroc_airframe, flexed_pairs, rays_of, rotations
+from tools.bench.euroc_judging import TUNED, calibration_error, cramer_rao, estimate, split, tuned_prior
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 EUROC = DATA / "measured" / "euroc-stereo"

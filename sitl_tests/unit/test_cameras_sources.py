@@ -15,7 +15,7 @@ from companion.core.stereo.geometry import Rig
 from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.records import ClockName, Side
-from sitl_tests.replay.euroc_calibration import euroc_cameras
+from tools.bench.euroc_calibration import euroc_cameras
 
 
 def _write(folder: Path, camera: str, stamps: list[int]) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from companion.core.clock.bank import ClockBank
 from companion.records import ClockName, ClockRestart, Reject, TimesyncReply
-from sitl_tests.unit.clock_link import MS, NODE, Link, S, fly
+from tools.bench.clock_link import MS, NODE, Link, S, fly
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from companion.diagnosis.model.flights import fit
 from companion.diagnosis.model.generic_effects import generic_effects
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
-from sitl_tests.trials.belief import airframe_text
+from tools.trial_truths.belief import airframe_text
 
 TOP_HZ, RATE_HZ, COUNT = 40.0, 100.0, 3000
 SIDES = (Side.LEFT, Side.RIGHT)

@@ -30,9 +30,9 @@ from companion.diagnosis.model.generic_effects import generic_effects
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
-from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import Hidden, fly, hide, noise_density
 from tools.trial_judge import model_of
+from tools.trial_truths.belief import airframe_text
+from tools.trial_truths.cases import Hidden, fly, hide, noise_density
 
 RATE_HZ, COUNT = 100.0, 3000
 SIDES = (Side.LEFT, Side.RIGHT)

@@ -20,7 +20,7 @@ from companion.diagnosis.selection.fisher_scoring import maximise
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
-from sitl_tests.trials.belief import airframe_text
+from tools.trial_truths.belief import airframe_text
 
 TOP_HZ = 40.0
 RATE_HZ = 100.0

@@ -16,11 +16,11 @@ from companion.diagnosis.model.flights import fit
 from companion.diagnosis.model.linear_spectra import Spectra
 from companion.params.files import parse_airframe
 from companion.records import Side
-from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import Hidden, fly, noise_density
-from sitl_tests.trials.stranger.cases import fly_all, hide
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
+from tools.trial_truths.belief import airframe_text
+from tools.trial_truths.cases import Hidden, fly, noise_density
+from tools.trial_truths.stranger.cases import fly_all, hide
 
 
 def test_a_filter_of_the_motion_acts_like_the_stiffness_and_damping_that_it_is() -> None:

@@ -18,9 +18,9 @@ from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Floats, Station
-from sitl_tests.trials.stranger.cases import fly_all, hide
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
+from tools.trial_truths.stranger.cases import fly_all, hide
 
 RATE_HZ, SECONDS = 400.0, 60.0
 

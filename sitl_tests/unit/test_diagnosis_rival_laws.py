@@ -19,12 +19,12 @@ from companion.diagnosis.model.generic_effects import PLAY, generic_effects
 from companion.diagnosis.model.toe_regressors import taken_up
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.files import parse_airframe
-from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import Hidden, noise_density
-from sitl_tests.trials.cases import fly as fly_first
-from sitl_tests.trials.stranger.cases import StrangerHidden, fly_all, hide
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
+from tools.trial_truths.belief import airframe_text
+from tools.trial_truths.cases import Hidden, noise_density
+from tools.trial_truths.cases import fly as fly_first
+from tools.trial_truths.stranger.cases import StrangerHidden, fly_all, hide
 
 
 def flown(**effects: float) -> FlightModel:

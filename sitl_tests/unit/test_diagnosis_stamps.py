@@ -17,7 +17,7 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Bools, Floats, Side
-from sitl_tests.trials.belief import airframe_text
+from tools.trial_truths.belief import airframe_text
 
 RATE_HZ, COUNT, TOP_HZ = 1000.0, 20_000, 40.0
 T_S = np.arange(COUNT) / RATE_HZ

@@ -14,10 +14,10 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import generic_effects
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.records import Side, Station
-from sitl_tests.trials.stranger.cases import fly_all, hide
 from sitl_tests.unit.test_diagnosis_generic_effects import flown
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
+from tools.trial_truths.stranger.cases import fly_all, hide
 
 T_S = np.linspace(0.0, 60.0, 7)
 

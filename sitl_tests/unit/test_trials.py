@@ -11,11 +11,12 @@ import pytest
 
 from companion.core.wing.effects import catalogue
 from companion.evaluation.fleet.runner import write_part
-from sitl_tests.trials.cases import SIGMA, Hidden, Tables, hide, sigma_of
 from tools.trial_judge import judge, swings
 from tools.trial_plan import Trial, acceptance
 from tools.trial_results import results, wilson
 from tools.trial_tasks import Batch, JudgementTask, parts
+from tools.trial_truths.cases import Hidden, Tables, hide
+from tools.trial_truths.strengths import SIGMA, sigma_of
 
 
 @pytest.mark.parametrize(("counted", "total"), [(0, 300), (14, 16), (9, 10)])

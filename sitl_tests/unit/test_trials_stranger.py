@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from sitl_tests.trials.stranger import beam
-from sitl_tests.trials.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
-from sitl_tests.trials.stranger.flight import STEP_HZ, _gust, drawn, fly
-from sitl_tests.trials.stranger.sensors import _tip
-from sitl_tests.trials.stranger.steps import propagated
 from tools.trial_generators import STRANGER
 from tools.trial_plan import strangers_acceptance
+from tools.trial_truths.stranger import beam
+from tools.trial_truths.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
+from tools.trial_truths.stranger.flight import STEP_HZ, _gust, drawn, fly
+from tools.trial_truths.stranger.sensors import _tip
+from tools.trial_truths.stranger.steps import propagated
 
 
 def test_elements_ring_like_a_uniform_cantilever() -> None:

@@ -24,8 +24,8 @@ _BY_NAME_ALONE = ("world",)  # 1,850 flights take hours
 
 def names() -> list[str]:
     """The benches there are; accuracy, the longest, is last."""
-    found = [module.name for module in pkgutil.iter_modules(tools.bench.__path__) if "_" not in module.name]
-    return sorted(found, key=lambda name: (name == "accuracy", name))
+    listed = [module.name for module in pkgutil.iter_modules(tools.bench.__path__) if "_" not in module.name]
+    return sorted(listed, key=lambda name: (name == "accuracy", name))
 
 
 def summary(name: str) -> str:

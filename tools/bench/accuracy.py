@@ -92,74 +92,74 @@ def table(scores: list[Score]) -> list[Row]:
     """Pool the scores into rows."""
     rows: list[Row] = []
     for suite in SUITES:
-        found = [s for s in scores if s.suite == suite]
-        if found:
-            rows += list(_suite_rows(suite, found))
+        of_suite = [s for s in scores if s.suite == suite]
+        if of_suite:
+            rows += list(_suite_rows(suite, of_suite))
     return rows
 
 
-def _suite_rows(suite: str, found: list[Score]) -> Iterator[Row]:
+def _suite_rows(suite: str, of_suite: list[Score]) -> Iterator[Row]:
     bound = 1.10 if suite.startswith("priors") else 1.05
     peak_bound = 1.15 if suite.startswith("drift") else bound
-    groups: list[tuple[str, list[Score], float]] = [("all", found, bound)]
+    groups: list[tuple[str, list[Score], float]] = [("all", of_suite, bound)]
     if suite == "vertical":
-        slow = [s for s in found if s.frequency_hz < 6]
-        fast = [s for s in found if s.frequency_hz >= 6]
+        slow = [s for s in of_suite if s.frequency_hz < 6]
+        fast = [s for s in of_suite if s.frequency_hz >= 6]
         groups = [("below 6 Hz", slow, 1.10), ("above 6 Hz", fast, 1.05)]
-    for name, part, limit in groups:
-        yield _ratio_row(f"{suite}: deflection causal, {name}", part, lambda s: s.causal, (0.0, limit))
-        yield _ratio_row(f"{suite}: deflection smoothed, {name}", part, lambda s: s.smoothed, (0.0, limit))
-    yield _ratio_row(f"{suite}: peak time 20 ms ahead", found, lambda s: s.peak, (0.0, peak_bound))
-    yield _slope_row(f"{suite}: smoothed relative slope, mrad", found, (0.0, 0.18) if suite == "slope" else None)
+    for name, of_group, limit in groups:
+        yield _ratio_row(f"{suite}: deflection causal, {name}", of_group, lambda s: s.causal, (0.0, limit))
+        yield _ratio_row(f"{suite}: deflection smoothed, {name}", of_group, lambda s: s.smoothed, (0.0, limit))
+    yield _ratio_row(f"{suite}: peak time 20 ms ahead", of_suite, lambda s: s.peak, (0.0, peak_bound))
+    yield _slope_row(f"{suite}: smoothed relative slope, mrad", of_suite, (0.0, 0.18) if suite == "slope" else None)
     target = (0.9, 1.1)
-    yield _mean_row(f"{suite}: NEES causal", found, lambda s: s.nees[0, 0], target)
-    yield _mean_row(f"{suite}: NEES smoothed", found, lambda s: s.nees[1, 0], target)
-    yield _mean_row(f"{suite}: NEES smoothed of the reference", found, lambda s: s.nees[1, 1], None)
+    yield _mean_row(f"{suite}: NEES causal", of_suite, lambda s: s.nees[0, 0], target)
+    yield _mean_row(f"{suite}: NEES smoothed", of_suite, lambda s: s.nees[1, 0], target)
+    yield _mean_row(f"{suite}: NEES smoothed of the reference", of_suite, lambda s: s.nees[1, 1], None)
     if not suite.startswith("drift"):
-        yield _lock_row(f"{suite}: frequency error at 5 s / sqrt(zeta/(omega T))", found)
-    yield _mean_row(f"{suite}: share refused", found, lambda s: np.array([s.refused]), (0.0, 0.0))
+        yield _lock_row(f"{suite}: frequency error at 5 s / sqrt(zeta/(omega T))", of_suite)
+    yield _mean_row(f"{suite}: share refused", of_suite, lambda s: np.array([s.refused]), (0.0, 0.0))
     if suite in ("six-axis", "vertical"):
-        yield from _details(suite, found)
+        yield from _details(suite, of_suite)
 
 
-def _details(suite: str, found: list[Score]) -> Iterator[Row]:
+def _details(suite: str, of_suite: list[Score]) -> Iterator[Row]:
     for frequency in FREQUENCIES_HZ:
         for shape in SHAPES:
-            part = [s for s in found if s.frequency_hz == frequency and s.gust == shape.name]
-            if part:
+            of_shape = [s for s in of_suite if s.frequency_hz == frequency and s.gust == shape.name]
+            if of_shape:
                 name = f"{suite}: {frequency:g} Hz {shape.name}"
-                yield _ratio_row(f"{name}: causal", part, lambda s: s.causal, None)
-                yield _ratio_row(f"{name}: smoothed", part, lambda s: s.smoothed, None)
-                yield _ratio_row(f"{name}: peak", part, lambda s: s.peak, None)
+                yield _ratio_row(f"{name}: causal", of_shape, lambda s: s.causal, None)
+                yield _ratio_row(f"{name}: smoothed", of_shape, lambda s: s.smoothed, None)
+                yield _ratio_row(f"{name}: peak", of_shape, lambda s: s.peak, None)
 
 
 def _ratio_row(
-    name: str, found: list[Score], squares: Callable[[Score], Floats], target: tuple[float, float] | None
+    name: str, scores: list[Score], squares: Callable[[Score], Floats], target: tuple[float, float] | None
 ) -> Row:
     """Pool ratios of (tracker, reference) x modes: sums over the seeds of a truth first, then the mean over truths."""
     sums: dict[str, Floats] = {}
-    for s in found:
+    for s in scores:
         sums[s.label] = sums.get(s.label, np.zeros((2, 2))) + squares(s)
     ratios = np.array([total[0] / total[1] for total in sums.values()])
-    singles = np.array([np.sqrt(squares(s)[0] / squares(s)[1]) for s in found])
-    return Row(name, float(np.sqrt(np.mean(ratios))), *_spread(singles), target, len(found))
+    singles = np.array([np.sqrt(squares(s)[0] / squares(s)[1]) for s in scores])
+    return Row(name, float(np.sqrt(np.mean(ratios))), *_spread(singles), target, len(scores))
 
 
-def _slope_row(name: str, found: list[Score], target: tuple[float, float] | None) -> Row:
-    squares = np.array([s.slope_rad2[0] for s in found])
-    return Row(name, float(1e3 * np.sqrt(squares.mean())), *_spread(1e3 * np.sqrt(squares)), target, len(found))
+def _slope_row(name: str, scores: list[Score], target: tuple[float, float] | None) -> Row:
+    squares = np.array([s.slope_rad2[0] for s in scores])
+    return Row(name, float(1e3 * np.sqrt(squares.mean())), *_spread(1e3 * np.sqrt(squares)), target, len(scores))
 
 
 def _mean_row(
-    name: str, found: list[Score], value: Callable[[Score], Floats], target: tuple[float, float] | None
+    name: str, scores: list[Score], value: Callable[[Score], Floats], target: tuple[float, float] | None
 ) -> Row:
-    values = np.array([value(s) for s in found])
-    return Row(name, float(values.mean()), *_spread(values.mean(axis=1)), target, len(found))
+    values = np.array([value(s) for s in scores])
+    return Row(name, float(values.mean()), *_spread(values.mean(axis=1)), target, len(scores))
 
 
-def _lock_row(name: str, found: list[Score]) -> Row:
-    values = np.array([s.lock for s in found])
-    return Row(name, float(np.sqrt(np.mean(values**2))), *_spread(np.abs(values)), (0.0, 3.0), len(found))
+def _lock_row(name: str, scores: list[Score]) -> Row:
+    values = np.array([s.lock for s in scores])
+    return Row(name, float(np.sqrt(np.mean(values**2))), *_spread(np.abs(values)), (0.0, 3.0), len(scores))
 
 
 def _spread(values: Floats) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.params.airframe import Airframe, Gust, Mode, Sensor, Source, Uncertain, Wing
 from companion.records import ClockName
-from sitl_tests.reference.spec import ModeSpec, SensorSpec, TruthSpec
+from tools.reference.spec import ModeSpec, SensorSpec, TruthSpec
 
 _EXACT_M = 1e-6  # a sigma that leaves nothing to estimate
 _ENDLESS = 1e6  # the truth's sensors do not clip: a sample that happens to lie at a range's end is as good as any

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from sitl_tests.reference.rigid import LEVEL, RigidMotion, flight
-from sitl_tests.reference.spec import DRYDEN, FIVE_TWENTY, TWO_EIGHT, WHITE, GustShape, ModeSpec, SensorSpec, TruthSpec
 from tools.bench.accuracy_belief import Perturbation, second_mode
+from tools.reference.rigid import LEVEL, RigidMotion, flight
+from tools.reference.spec import DRYDEN, FIVE_TWENTY, TWO_EIGHT, WHITE, GustShape, ModeSpec, SensorSpec, TruthSpec
 
 FREQUENCIES_HZ = (3.0, 5.0, 10.0, 20.0)
 DAMPINGS = (0.02, 0.05, 0.12)
@@ -136,4 +136,4 @@ def _gathered(suite: str, rows: list[tuple[TruthSpec, Perturbation, int]]) -> li
     seeds: dict[tuple[TruthSpec, Perturbation], list[int]] = {}
     for spec, perturbation, seed in rows:
         seeds.setdefault((spec, perturbation), []).append(seed)
-    return [Cell(suite, spec, perturbation, tuple(found)) for (spec, perturbation), found in seeds.items()]
+    return [Cell(suite, spec, perturbation, tuple(truth_seeds)) for (spec, perturbation), truth_seeds in seeds.items()]

@@ -10,9 +10,9 @@ from companion.core.tracking.tracker import WingTracker
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ModeState, Reject
-from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks
-from sitl_tests.reference.truth import TruthRun
 from tools.bench.accuracy_peaks import Issue
+from tools.reference.imu import EPOCH_HOST_NS, chunks
+from tools.reference.truth import TruthRun
 
 LAG_S = 0.5
 START_S = 10.0
@@ -24,7 +24,7 @@ _MARGIN_S = 0.004  # samples that have arrived beyond the newest processed insta
 
 
 @dataclass(slots=True)
-class Told:
+class TrackerOutput:
     """Answers of the tracker: deflections (n, 2) with trim, and their sigmas; NaN where it refused.
 
     ``smoothed`` is at the instants themselves, told ``LAG_S`` later; ``slope`` is [left, right]. ``forecasts`` has one
@@ -50,19 +50,19 @@ def instants(duration_s: float) -> Floats:
 
 def drive(
     airframe: Airframe, run: TruthRun, values: tuple[Floats, Floats, Floats], seed_index: int, issues: list[Issue]
-) -> Told:
+) -> TrackerOutput:
     """Run a fresh tracker over one seed."""
     settings = Settings(smoother_lag_s=LAG_S)
     tracker = WingTracker(airframe, settings)
     window_ns = round(settings.reorder_window_s * 1e9)
     at_s = instants(run.spec.duration_s)
-    told = Told(at_s, *(np.full((len(at_s), 2), np.nan) for _ in range(5)), np.full(len(at_s), np.nan))
+    output = TrackerOutput(at_s, *(np.full((len(at_s), 2), np.nan) for _ in range(5)), np.full(len(at_s), np.nan))
     causal_at = {round(t / _GRID_S): i for i, t in enumerate(at_s)}
     smooth_at = {round((t + LAG_S) / _GRID_S): i for i, t in enumerate(at_s)}
     issue_at: dict[int, list[int]] = {}
     for number, issue in enumerate(issues):
         issue_at.setdefault(round(issue.t_s / _GRID_S), []).append(number)
-    told.forecasts = [None] * len(issues)
+    output.forecasts = [None] * len(issues)
     ends = _ends(run.spec.duration_s, issue_at)
     lock = round(LOCK_S / _GRID_S)
     for end_s, batches in chunks(run, values, seed_index, [end * _GRID_S + _MARGIN_S for end in ends]):
@@ -74,14 +74,14 @@ def drive(
         if state is None:
             continue
         if step == lock:
-            told.frequency_hz[:] = state.symmetric.frequency_hz, state.antisymmetric.frequency_hz
+            output.frequency_hz[:] = state.symmetric.frequency_hz, state.antisymmetric.frequency_hz
         if step in causal_at:
-            _note_causal(told, causal_at[step], state, now_ns)
+            _note_causal(output, causal_at[step], state, now_ns)
         if step in smooth_at:
-            _note_smoothed(told, smooth_at[step], tracker.smooth(now_ns - round(LAG_S * 1e9)))
+            _note_smoothed(output, smooth_at[step], tracker.smooth(now_ns - round(LAG_S * 1e9)))
         for number in issue_at.get(step, ()):
-            told.forecasts[number] = _forecast(tracker, issues[number], now_ns)
-    return told
+            output.forecasts[number] = _forecast(tracker, issues[number], now_ns)
+    return output
 
 
 def _ends(duration_s: float, issue_at: dict[int, list[int]]) -> list[int]:
@@ -96,24 +96,24 @@ def _ends(duration_s: float, issue_at: dict[int, list[int]]) -> list[int]:
     return sorted(end for end in ends if 0 < end <= last)
 
 
-def _note_causal(told: Told, i: int, state: ModeState, now_ns: int) -> None:
+def _note_causal(output: TrackerOutput, i: int, state: ModeState, now_ns: int) -> None:
     if state.t_host_ns != now_ns:
         raise RuntimeError(f"the tracker speaks of {state.t_host_ns}, not of {now_ns}")
-    told.causal[i], told.causal_sigma[i] = state.q_m, state.q_sigma_m
+    output.causal[i], output.causal_sigma[i] = state.q_m, state.q_sigma_m
 
 
-def _note_smoothed(told: Told, i: int, found: Deflection | Reject) -> None:
-    if isinstance(found, Reject):
+def _note_smoothed(output: TrackerOutput, i: int, deflection: Deflection | Reject) -> None:
+    if isinstance(deflection, Reject):
         return
-    told.smoothed[i], told.smoothed_sigma[i] = found.q_m, np.sqrt(np.diag(found.covariance)[:2])
-    told.slope[i] = found.slope_rad
-    told.slope_sigma[i] = np.sqrt(found.covariance[4:6, 4:6].sum())
+    output.smoothed[i], output.smoothed_sigma[i] = deflection.q_m, np.sqrt(np.diag(deflection.covariance)[:2])
+    output.slope[i] = deflection.slope_rad
+    output.slope_sigma[i] = np.sqrt(deflection.covariance[4:6, 4:6].sum())
 
 
 def _forecast(tracker: WingTracker, issue: Issue, now_ns: int) -> Floats | None:
-    found = tracker.forecast(issue.count * 1_000_000, 1_000_000)
-    if isinstance(found, Reject):
+    predicted = tracker.forecast(issue.count * 1_000_000, 1_000_000)
+    if isinstance(predicted, Reject):
         return None
-    if int(found.t_host_ns[0]) != now_ns + 1_000_000:
+    if int(predicted.t_host_ns[0]) != now_ns + 1_000_000:
         raise RuntimeError("the forecast does not begin at the newest instant")
-    return np.asarray(found.q_m[:, issue.mode])
+    return np.asarray(predicted.q_m[:, issue.mode])

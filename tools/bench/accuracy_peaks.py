@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.records import Floats
-from sitl_tests.reference.truth import TruthRun
+from tools.reference.truth import TruthRun
 
 LEAD_S = 0.020
 _GRID_S = 0.004
@@ -28,7 +28,7 @@ class Issue:
 
 def issues_of(run: TruthRun, seed_index: int, start_s: float) -> list[Issue]:
     """Forecasts for the peaks above one rms, at the last instant of the 4 ms grid that leaves the lead."""
-    found: list[Issue] = []
+    issues: list[Issue] = []
     for mode in (0, 1):
         quarter = 0.25 / run.spec.modes[mode].frequency_hz
         peaks = [p for p in run.peaks(seed_index, mode, start_s) if p[0] + quarter < run.spec.duration_s - 0.1]
@@ -36,8 +36,8 @@ def issues_of(run: TruthRun, seed_index: int, start_s: float) -> list[Issue]:
         for peak_s, height in peaks[::every]:
             at = np.floor((peak_s - LEAD_S) / _GRID_S + 1e-6) * _GRID_S
             count = int(np.ceil((peak_s - at + quarter) / 0.001)) + 1
-            found.append(Issue(mode, float(at), count, peak_s, float(np.sign(height)), quarter))
-    return found
+            issues.append(Issue(mode, float(at), count, peak_s, float(np.sign(height)), quarter))
+    return issues
 
 
 def miss_s(issue: Issue, curve: Floats) -> float:

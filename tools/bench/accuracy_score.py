@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from companion.records import Floats
-from sitl_tests.reference.imu import samples
-from sitl_tests.reference.oracle import Oracle
-from sitl_tests.reference.truth import TruthRun, simulate
 from tools.bench.accuracy_belief import believed_airframe
 from tools.bench.accuracy_cases import Cell
-from tools.bench.accuracy_drive import LAG_S, LOCK_S, START_S, Told, drive, instants
+from tools.bench.accuracy_drive import LAG_S, LOCK_S, START_S, TrackerOutput, drive, instants
 from tools.bench.accuracy_peaks import issues_of, miss_s
+from tools.reference.imu import samples
+from tools.reference.oracle import Oracle
+from tools.reference.truth import TruthRun, simulate
 
 _INDEPENDENT_S = 2.0  # between instants whose errors are taken as independent
 _SEEDS_AT_ONCE = 3  # what the reference holds in memory
@@ -82,14 +82,14 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
     scores = []
     for s, seed in enumerate(seeds):
         issues = issues_of(run, s, START_S)
-        told = drive(believed_airframe(cell.spec, seed, cell.perturbation), run, values, s, issues)
+        output = drive(believed_airframe(cell.spec, seed, cell.perturbation), run, values, s, issues)
         truth = _Truth(run, s, at_s)
-        curves: list[list[Floats | None]] = [told.forecasts, []]
+        curves: list[list[Floats | None]] = [output.forecasts, []]
         for issue in issues:
             curves[1].append(oracle.forecast(issue.t_s, s, issue.count)[:, issue.mode])
         peak = np.array([[_peak(issues, c, mode) for mode in (0, 1)] for c in curves])
         reference = (causal.q_m[s], causal.q_sigma_m[s], smoothed.q_m[s], smoothed.q_sigma_m[s])
-        slope_error = (told.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.slope)
+        slope_error = (output.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.slope)
         mode = cell.spec.symmetric
         scores.append(
             Score(
@@ -98,13 +98,13 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
                 seed=seed,
                 frequency_hz=mode.frequency_hz,
                 gust=cell.spec.gust.name,
-                causal=np.stack([truth.square(told.causal, truth.q), truth.square(reference[0], truth.q)]),
-                smoothed=np.stack([truth.square(told.smoothed, truth.q), truth.square(reference[2], truth.q)]),
+                causal=np.stack([truth.square(output.causal, truth.q), truth.square(reference[0], truth.q)]),
+                smoothed=np.stack([truth.square(output.smoothed, truth.q), truth.square(reference[2], truth.q)]),
                 slope_rad2=np.array([np.nanmean(error**2) for error in slope_error]),
                 peak=peak,
-                nees=_nees(told, reference, truth),
-                lock=_lock(told, run),
-                refused=float(np.isnan(told.smoothed).mean() / 2 + np.isnan(told.causal).mean() / 2),
+                nees=_nees(output, reference, truth),
+                lock=_lock(output, run),
+                refused=float(np.isnan(output.smoothed).mean() / 2 + np.isnan(output.causal).mean() / 2),
             )
         )
     return scores
@@ -118,11 +118,11 @@ class _Truth:
         self.rms = np.array([mode.rms_m for mode in run.spec.modes[:2]])
         self.slope = run.slope_at(at_s)[s].sum(axis=0)
 
-    def square(self, told: Floats, q: Floats) -> Floats:
+    def square(self, estimate: Floats, q: Floats) -> Floats:
         """Mean square error per mode, in units of its rms."""
-        if np.isnan(told).all():
+        if np.isnan(estimate).all():
             return np.full(2, np.nan)
-        return np.asarray(np.nanmean(((told - q) / self.rms) ** 2, axis=0))
+        return np.asarray(np.nanmean(((estimate - q) / self.rms) ** 2, axis=0))
 
 
 def _peak(issues: list, curves: list[Floats | None], mode: int) -> float:  # type: ignore[type-arg]
@@ -134,18 +134,18 @@ def _peak(issues: list, curves: list[Floats | None], mode: int) -> float:  # typ
     return float(np.mean(np.square(misses))) if misses else float("nan")
 
 
-def _nees(told: Told, reference: tuple[Floats, Floats, Floats, Floats], truth: _Truth) -> Floats:
-    every = round(_INDEPENDENT_S / (told.instants_s[1] - told.instants_s[0]))
+def _nees(output: TrackerOutput, reference: tuple[Floats, Floats, Floats, Floats], truth: _Truth) -> Floats:
+    every = round(_INDEPENDENT_S / (output.instants_s[1] - output.instants_s[0]))
     pairs = (
-        ((told.causal - truth.q) / told.causal_sigma, (reference[0] - truth.q) / reference[1]),
-        ((told.smoothed - truth.q) / told.smoothed_sigma, (reference[2] - truth.q) / reference[3]),
+        ((output.causal - truth.q) / output.causal_sigma, (reference[0] - truth.q) / reference[1]),
+        ((output.smoothed - truth.q) / output.smoothed_sigma, (reference[2] - truth.q) / reference[3]),
     )
     return np.array([[np.nanmean(z[::every] ** 2, axis=0) for z in pair] for pair in pairs])
 
 
-def _lock(told: Told, run: TruthRun) -> Floats:
+def _lock(output: TrackerOutput, run: TruthRun) -> Floats:
     modes = run.spec.modes[:2]
     grown = np.exp(run.spec.drift_per_s * LOCK_S)
     limit = [np.sqrt(m.damping / (2 * np.pi * m.frequency_hz * LOCK_S)) for m in modes]
     true = np.array([m.frequency_hz * grown for m in modes])
-    return np.asarray((told.frequency_hz / true - 1) / limit)
+    return np.asarray((output.frequency_hz / true - 1) / limit)

@@ -84,7 +84,7 @@ def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
     hidden = (NamedEffect(name, EFFECTS[name]),)
     flight = build_flight(airframe, seed, 2.0 * _HALF_S, effects=hidden, plan=two_minutes())
     write_csv(flight, folder)
-    first, second = (_part(folder, k) for k in range(2))
+    first, second = (_minute(folder, k) for k in range(2))
     models = models_of([first], airframe)
     diagnosis = diagnose(models, list(catalogue().values()))
     text = dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units))
@@ -114,15 +114,15 @@ def two_minutes() -> FlightPlan:
     )
 
 
-def _part(folder: Path, which: int) -> Path:
+def _minute(folder: Path, which: int) -> Path:
     """Either minute of a folder of tables, as a folder of its own."""
-    part = folder / f"minute{which + 1}"
-    part.mkdir()
+    minute_folder = folder / f"minute{which + 1}"
+    minute_folder.mkdir()
     for name in ("accel.csv", "range.csv"):
         header, *rows = (folder / name).read_text(encoding="utf-8").splitlines()
         inside = [row for row in rows if which * _HALF_S <= float(row.partition(",")[0]) < (which + 1) * _HALF_S]
-        (part / name).write_text("\n".join([header, *inside]) + "\n", encoding="utf-8")
-    return part
+        (minute_folder / name).write_text("\n".join([header, *inside]) + "\n", encoding="utf-8")
+    return minute_folder
 
 
 def toe_error_rad(flight: Flight, folder: Path, airframe: Airframe) -> tuple[float, float]:

@@ -45,7 +45,7 @@ class Paired:
     vertical_fast: Floats
 
 
-def one(airframe: Airframe, seed: int, duration_s: float) -> Paired:
+def fly_pair(airframe: Airframe, seed: int, duration_s: float) -> Paired:
     """Fly a seed and judge it both ways."""
     flight, settings = build_flight(airframe, seed, duration_s), Settings()
     stage = Stage.of(flight, settings, EPOCH_NS)
@@ -94,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
     print("toe error, mrad rms, all axes / vertical alone, on the same shots; gain and rest of the fast part")
     flights = []
     for seed in range(1, options.seeds + 1):
-        flown = one(airframe, seed, options.duration)
+        flown = fly_pair(airframe, seed, options.duration)
         flights.append(flown)
         print(f"seed {seed:3d}: {_row(flown)}", flush=True)
     for distance_m in DISTANCES_M:

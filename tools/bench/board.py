@@ -86,21 +86,21 @@ def running() -> Iterator[Board]:
 def run(shots: int = SHOTS) -> list[dict[str, object]]:
     """Rows with median, p99 and most, microseconds: edge after plan, and the board's report against the true edge."""
     with running() as board:
-        planned, told, refused = _fired(board, shots)
+        planned, reported_ns, refused = _fired(board, shots)
         fifo = board.fifo
         true = board.edges_ns()
     if len(true) != len(planned):
         raise RuntimeError(f"{len(planned)} shots were reported, {len(true)} edges were made")
     return [
         _row("edge after the planned instant", true - np.array(planned), refused, fifo),
-        _row("reported edge, off the true one", np.abs(np.array(told) - true), refused, fifo),
+        _row("reported edge, off the true one", np.abs(np.array(reported_ns) - true), refused, fifo),
     ]
 
 
 def _fired(board: Board, shots: int) -> tuple[list[int], list[int], int]:
     rng = np.random.default_rng(1)
     planned: list[int] = []
-    told: list[int] = []
+    reported_ns: list[int] = []
     refused = 0
     with TriggerProcess(functools.partial(SerialBoardTrigger, board.port)) as process:
         process.wait_ready()
@@ -112,10 +112,10 @@ def _fired(board: Board, shots: int) -> tuple[list[int], list[int], int]:
             report = _report(process)
             if isinstance(report, Shot):
                 planned.append(command_ns + LEAD_NS)
-                told.append(report.fired_host_ns)
+                reported_ns.append(report.fired_host_ns)
             else:
                 refused += 1
-    return planned, told, refused
+    return planned, reported_ns, refused
 
 
 def _report(process: TriggerProcess) -> Shot | Rejected | None:

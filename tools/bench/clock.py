@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.clock.bank import ClockBank
-from sitl_tests.unit.clock_link import MS, Flight, Link, S, fly
 from tools.bench import clock_flight
+from tools.bench.clock_link import MS, Flight, Link, S, fly
 
 FLIGHTS = 10
 DURATION_S = 60

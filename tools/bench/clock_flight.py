@@ -68,17 +68,17 @@ def run(duration_s: float = DURATION_S) -> list[dict[str, float | str]]:
 
 def _row(name: str, flight: Flight, loop_hz: float, jitter_s: float, duration_s: float) -> dict[str, float | str]:
     faults = Faults(loss=LOSS, jitter_s=jitter_s, reorder=True, reboots=((1, REBOOT_S, SILENT_S),))
-    seen = _fly(flight, faults, loop_hz, duration_s)
-    error, bound = np.array(seen.error_ns, dtype=float), np.array(seen.bound_ns, dtype=float)
+    watched = _fly(flight, faults, loop_hz, duration_s)
+    error, bound = np.array(watched.error_ns, dtype=float), np.array(watched.bound_ns, dtype=float)
     back_s = REBOOT_S + SILENT_S
-    again = [at_s - back_s for at_s in seen.locked_s if at_s >= back_s]
+    again = [at_s - back_s for at_s in watched.locked_s if at_s >= back_s]
     return {
         "name": name,
         "true": float(np.mean(error <= bound)),
         "bound_ms": float(np.median(bound)) / 1e6,
-        "excess_ms": float(np.median(seen.excess_ns)) / 1e6,
+        "excess_ms": float(np.median(watched.excess_ns)) / 1e6,
         "error_ms": float(np.sqrt(np.mean(error**2))) / 1e6,
-        "lock_s": max(seen.locked_s[0], again[0] if again else np.inf),
+        "lock_s": max(watched.locked_s[0], again[0] if again else np.inf),
     }
 
 
@@ -87,25 +87,25 @@ def _fly(flight: Flight, faults: Faults, loop_hz: float, duration_s: float) -> W
     world = World(flight, WorldOptions(faults=faults, parameters={"SCHED_LOOP_RATE": loop_hz}), wire)
     clock = FastTime(world)
     pilot = MavlinkAutopilot([Link(0, "simulated", wire, clock)], flight.airframe, Settings(), clock)
-    bank, seen, synced, next_ns, now_ns = ClockBank(), Watched(), False, 0, EPOCH_NS
+    bank, watched, synced, next_ns, now_ns = ClockBank(), Watched(), False, 0, EPOCH_NS
     while now_ns < EPOCH_NS + duration_s * 1e9:
         for record in pilot.poll(0.002):
             if isinstance(record, TimesyncReply):
                 bank.exchange(record)
                 if record.clock is ClockName.BOOT:
-                    seen.least_trip_ns = min(seen.least_trip_ns, record.received_host_ns - record.sent_host_ns)
+                    watched.least_trip_ns = min(watched.least_trip_ns, record.received_host_ns - record.sent_host_ns)
             elif isinstance(record, ClockRestart):
                 bank.restart(record)
-                seen.least_trip_ns = np.inf
+                watched.least_trip_ns = np.inf
         now_ns = clock.now_ns()
         if now_ns >= next_ns:
             next_ns = now_ns + _LOOK_NS
-            synced = _look(bank, seen, clock.boot_ns(now_ns), now_ns, synced)
+            synced = _look(bank, watched, clock.boot_ns(now_ns), now_ns, synced)
     pilot.close()
-    return seen
+    return watched
 
 
-def _look(bank: ClockBank, seen: Watched, flight_ns: int, now_ns: int, was_synced: bool) -> bool:
+def _look(bank: ClockBank, watched: Watched, flight_ns: int, now_ns: int, was_synced: bool) -> bool:
     """Ask for the host time of a stamp that the autopilot would give just now, and hold the answer to the truth."""
     back_ns = round((REBOOT_S + SILENT_S) * 1e9)
     if REBOOT_S * 1e9 <= flight_ns < back_ns:
@@ -115,11 +115,11 @@ def _look(bank: ClockBank, seen: Watched, flight_ns: int, now_ns: int, was_synce
     if not isinstance(answer, tuple):
         return False
     if not was_synced:
-        seen.locked_s.append(flight_ns * 1e-9)
+        watched.locked_s.append(flight_ns * 1e-9)
     host, bound_ns = answer
-    seen.error_ns.append(abs(int(host[0]) - now_ns))
-    seen.bound_ns.append(bound_ns)
-    seen.excess_ns.append(bound_ns - seen.least_trip_ns / 2)
+    watched.error_ns.append(abs(int(host[0]) - now_ns))
+    watched.bound_ns.append(bound_ns)
+    watched.excess_ns.append(bound_ns - watched.least_trip_ns / 2)
     return True
 
 

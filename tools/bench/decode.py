@@ -25,7 +25,7 @@ from companion.records import ImuBatch, RawChunk
 TARGET_RATIO = 15.0
 _COMPONENTS = (1, 200, 201)
 _BURST = 150  # datagrams that a default socket buffer holds
-_ROUNDS = 5
+_REPEATS = 5  # measurements of every decoder, whose medians count (choice)
 
 
 class _Clock:
@@ -65,12 +65,12 @@ def _pack(message: Any, packer: Any) -> bytes:
 def _best_rate(count: int, work: Callable[[], int]) -> float:
     """Frames per second and core, median of several rounds; every round must find every frame."""
     rates = []
-    for _ in range(_ROUNDS):
+    for _ in range(_REPEATS):
         begin = time.process_time()
-        found = work()
+        decoded = work()
         rates.append(count / (time.process_time() - begin))
-        if found != count:
-            raise RuntimeError(f"found {found} of {count} frames")
+        if decoded != count:
+            raise RuntimeError(f"found {decoded} of {count} frames")
     return statistics.median(rates)
 
 
@@ -99,15 +99,15 @@ def _parse_all(data: bytes) -> int:
 
 def _in_bursts(frames: list[bytes], port: int, drain: Callable[[], int]) -> tuple[int, float]:
     """Send bursts to a port and time only their reading: frames found and CPU seconds."""
-    found, spent = 0, 0.0
+    decoded, spent = 0, 0.0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for start in range(0, len(frames), _BURST):
             for frame in frames[start : start + _BURST]:
                 sender.sendto(frame, ("127.0.0.1", port))
             begin = time.process_time()
-            found += drain()
+            decoded += drain()
             spent += time.process_time() - begin
-    return found, spent
+    return decoded, spent
 
 
 def _udp_ours(frames: list[bytes]) -> float:
@@ -120,9 +120,9 @@ def _udp_ours(frames: list[bytes]) -> float:
             decoder.decode_chunk(chunk)
         return decoder.counters(0).frames - before
 
-    found, spent = _in_bursts(frames, transport.port, drain)
+    decoded, spent = _in_bursts(frames, transport.port, drain)
     link.close()
-    return _checked(found, len(frames)) / spent
+    return _checked(decoded, len(frames)) / spent
 
 
 def _udp_mavutil(frames: list[bytes]) -> float:
@@ -131,15 +131,15 @@ def _udp_mavutil(frames: list[bytes]) -> float:
     def drain() -> int:
         return sum(1 for _ in iter(connection.recv_match, None))
 
-    found, spent = _in_bursts(frames, connection.port.getsockname()[1], drain)
+    decoded, spent = _in_bursts(frames, connection.port.getsockname()[1], drain)
     connection.close()
-    return _checked(found, len(frames)) / spent
+    return _checked(decoded, len(frames)) / spent
 
 
-def _checked(found: int, expected: int) -> int:
-    if found != expected:
-        raise RuntimeError(f"found {found} of {expected} frames over UDP")
-    return found
+def _checked(decoded: int, expected: int) -> int:
+    if decoded != expected:
+        raise RuntimeError(f"found {decoded} of {expected} frames over UDP")
+    return decoded
 
 
 def _live_cost_ms(frames: list[bytes], seconds: float, gather_s: float) -> tuple[float, float]:
@@ -161,7 +161,7 @@ def run(seconds: float = 8.0) -> list[dict[str, Any]]:
     chunks = [RawChunk(0, k, piece) for k, piece in enumerate(_pieces(frames, 600))]
     ours, theirs = _best_rate(count, lambda: _decode_all(chunks)), _best_rate(count, lambda: _parse_all(data))
     scan = _best_rate(count, lambda: _scan_all(data))
-    pairs = [(_udp_ours(frames), _udp_mavutil(frames)) for _ in range(_ROUNDS)]
+    pairs = [(_udp_ours(frames), _udp_mavutil(frames)) for _ in range(_REPEATS)]
     udp_ours, udp_theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
     rows: list[dict[str, Any]] = [
         {"name": "in memory: bulk decoder to SI batches", "value": ours, "unit": "frames/s"},

@@ -156,16 +156,16 @@ def judge(trial: Trial, followed: Followed, fixed: Followed) -> Score:
     error, readable = _errors(trial, followed, truth)
     simple, _ = _errors(trial, fixed, truth)
     inside = slice(round(_FIRST_S * trial.rate_hz), -round(_LAST_S * trial.rate_hz))
-    seen = _readable(trial, truth)[inside]
-    beside = _degrees(offline * np.conj(truth))[inside][seen]
+    legible = _readable(trial, truth)[inside]
+    beside = _degrees(offline * np.conj(truth))[inside][legible]
     each = [analytic(trial.strain_v[:, k], trial.rate_hz) for k in range(2)] if gauges else []
-    apart = _degrees(each[0] * np.conj(each[1]))[inside][seen] / np.sqrt(2.0) if gauges else np.array([np.nan])
+    apart = _degrees(each[0] * np.conj(each[1]))[inside][legible] / np.sqrt(2.0) if gauges else np.array([np.nan])
     sigma = np.degrees(followed.sigma_rad[:, 0])
     held = readable[:, 0] & np.isfinite(error[:, 0])
     return Score(
         name=trial.name,
         judge="strain gauges" if gauges else "off-line accelerometer",
-        judged=float(np.mean(seen)),
+        judged=float(np.mean(legible)),
         median_deg=_median(error, readable),
         p90_deg=_pair(error, readable, 90.0),
         any_deg=_pair(error, np.isfinite(error), 50.0),
@@ -192,14 +192,14 @@ def run(folder: Path = DATA, only: str = "*") -> list[Score]:
 
 def variants() -> dict[str, tuple[Resonance, ...]]:
     """Settings to choose among: those of this file, and each of them halved and doubled (of the upper two together)."""
-    found: dict[str, tuple[Resonance, ...]] = {"as they are": RESONANCES}
+    settings: dict[str, tuple[Resonance, ...]] = {"as they are": RESONANCES}
     for place, which in (("first", slice(0, 1)), ("upper", slice(1, 3))):
         for name in ("wander", "settle_s", "damping", "load"):
             for factor in (0.5, 2.0):
                 changed = list(RESONANCES)
                 changed[which] = [dataclasses.replace(r, **{name: factor * getattr(r, name)}) for r in changed[which]]
-                found[f"{place} {name} x {factor:g}"] = tuple(changed)
-    return found
+                settings[f"{place} {name} x {factor:g}"] = tuple(changed)
+    return settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,14 +239,14 @@ def _errors(
     """(k, leads) phase errors in degrees, NaN where refused or outside the judge; and where the truth is readable."""
     error = np.full(followed.phase_rad.shape, np.nan)
     good = np.zeros(error.shape, dtype=bool)
-    seen = _readable(trial, truth)
+    readable = _readable(trial, truth)
     first, last = round(_FIRST_S * trial.rate_hz), len(truth) - round(_LAST_S * trial.rate_hz)
     for column, lead_s in enumerate(LEADS_S):
         target = followed.at + round(lead_s * trial.rate_hz)
         inside = (followed.at >= first) & (target < last)
         turned = np.exp(1j * followed.phase_rad[inside, column]) * np.conj(truth[target[inside]])
         error[inside, column] = _degrees(turned)
-        good[inside, column] = seen[target[inside]]
+        good[inside, column] = readable[target[inside]]
     return error, good
 
 

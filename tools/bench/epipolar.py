@@ -25,8 +25,8 @@ import numpy as np
 from companion.core.stereo.geometry import Rig
 from companion.errors import RecordingError
 from companion.records import Floats
-from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, euroc_airframe, flexed_pairs
-from sitl_tests.replay.euroc_judging import TUNED, WAYS, calibration_error, cramer_rao, estimate, split, tuned_prior
+from tools.bench.euroc_flexing import FAST_SIGMA_RAD, euroc_airframe, flexed_pairs
+from tools.bench.euroc_judging import TUNED, WAYS, calibration_error, cramer_rao, estimate, split, tuned_prior
 
 _DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 _SETTLED = 5

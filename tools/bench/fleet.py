@@ -78,8 +78,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _recordings(folder: Path, count: int, duration_s: float) -> list[Path]:
     """The recordings; those of an earlier run where all are there."""
-    there = sorted(folder.glob("*.mcap"))
-    return there if len(there) == count else write_fleet(folder, count, duration_s)
+    existing = sorted(folder.glob("*.mcap"))
+    return existing if len(existing) == count else write_fleet(folder, count, duration_s)
 
 
 def _ways(paths: list[Path], out: Path) -> Iterator[tuple[str, Callable[[], Results]]]:

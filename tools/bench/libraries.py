@@ -115,7 +115,7 @@ def _ours(learned: FreeDecay, judged: FreeDecay, belief: Any, laws: list[Extensi
     values = fit_best_of(model, start[None, :], mask).values
     (filtered,) = filter_all(FreeDecayModel([judged], *belief, laws), [values[None, :]], _AHEAD)
     assert filtered.ahead is not None
-    return _share(judged, filtered.ahead[0], np.arange(_AHEAD, len(judged.t_s)))
+    return _relative_error(judged, filtered.ahead[0], np.arange(_AHEAD, len(judged.t_s)))
 
 
 def _narx(learned: FreeDecay, judged: FreeDecay, roller: bool, degree: int) -> float:
@@ -133,17 +133,17 @@ def _narx(learned: FreeDecay, judged: FreeDecay, roller: bool, degree: int) -> f
         basis_function=polynomial(degree=degree),
     )
     with warnings.catch_warnings(action="ignore"):
-        inputs = [float(roller) * one.channels["roller"][:, None] for one in (learned, judged)]
+        inputs = [float(roller) * record.channels["roller"][:, None] for record in (learned, judged)]
         model.fit(X=inputs[0], y=learned.up_mps2[:, None] / scale)
-        told = np.asarray(model.predict(X=inputs[1], y=judged.up_mps2[:, None] / scale, steps_ahead=_AHEAD)).ravel()
+        foretold = np.asarray(model.predict(X=inputs[1], y=judged.up_mps2[:, None] / scale, steps_ahead=_AHEAD)).ravel()
     # it starts anew from what was measured every 5 samples: the last of each stretch is 5 ahead
-    last = np.arange(model.max_lag + _AHEAD - 1, len(told), _AHEAD)
-    return _share(judged, told * scale, last)
+    last = np.arange(model.max_lag + _AHEAD - 1, len(foretold), _AHEAD)
+    return _relative_error(judged, foretold * scale, last)
 
 
-def _share(judged: FreeDecay, told: Floats, which: Any) -> float:
+def _relative_error(judged: FreeDecay, foretold: Floats, which: Any) -> float:
     still = which[quiet_samples(judged, _AHEAD)[which]]
-    error, signal = (judged.up_mps2 - told)[still], judged.up_mps2[still]
+    error, signal = (judged.up_mps2 - foretold)[still], judged.up_mps2[still]
     return float(np.sqrt(np.sum(error**2) / np.sum(signal**2)))
 
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from sitl_tests.trials.cases import BELIEF, Hidden, Tables, fly
 from tools.bench.libraries import ema_poles_hz
 from tools.trial_judge import judge_trial
 from tools.trial_plan import Trial
+from tools.trial_truths.cases import BELIEF, Hidden, Tables, fly
 
 _SEED = 77
 _DURATION_S = 60.0
@@ -70,15 +70,15 @@ def _poles(tables: Tables, near_hz: float) -> float:
 def _half_spectra(tables: Tables) -> tuple[Any, Any]:
     """Frequencies (f,) and (4, f): of all correlations at positive lags, decimated to 100 Hz by means."""
     ratio = round(1000.0 / _RATE_HZ)
-    whole = tables.force_z_mps2[: len(tables.t_s) // ratio * ratio]
-    up = -(whole - whole.mean(0)).reshape(-1, ratio, 2).mean(1)
+    complete = tables.force_z_mps2[: len(tables.t_s) // ratio * ratio]
+    up = -(complete - complete.mean(0)).reshape(-1, ratio, 2).mean(1)
     lags = round(_LAGS_S * _RATE_HZ)
     spectrum = np.fft.rfft(up, 2 * len(up), axis=0)
-    found = []
+    spectra = []
     for i, k in np.ndindex(2, 2):
         correlation = np.fft.irfft(spectrum[:, i] * spectrum[:, k].conj())[:lags] / len(up)
-        found.append(np.fft.rfft(correlation * np.exp(-3.0 * np.arange(lags) / lags)))
-    return np.fft.rfftfreq(lags, 1.0 / _RATE_HZ), np.array(found)
+        spectra.append(np.fft.rfft(correlation * np.exp(-3.0 * np.arange(lags) / lags)))
+    return np.fft.rfftfreq(lags, 1.0 / _RATE_HZ), np.array(spectra)
 
 
 def main() -> int:

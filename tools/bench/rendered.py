@@ -61,10 +61,10 @@ class Flown:
 
 def run(airframe: Airframe, seeds: Iterable[int], duration_s: float = 27.0, rate_hz: float = 4.0) -> list[Flown]:
     """Fly every seed."""
-    return [one(airframe, seed, duration_s, rate_hz) for seed in seeds]
+    return [fly_one_seed(airframe, seed, duration_s, rate_hz) for seed in seeds]
 
 
-def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flown:
+def fly_one_seed(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flown:
     """One flight."""
     flight = build_flight(airframe, seed, duration_s)
     stage = Stage.of(flight, Settings(), HOST_EPOCH_NS)
@@ -112,7 +112,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"toe and range of {airframe.name} from {SETTLED_S:g} s on, mrad; trusted ranges as toe")
     print("seed  pairs  toe mean   rms  stated  error/sigma  ranges   rms  stated  error/sigma")
     for seed in range(1, options.seeds + 1):
-        row = one(airframe, seed, options.duration, 4.0)
+        row = fly_one_seed(airframe, seed, options.duration, 4.0)
         rows.append(row)
         print(
             f"{seed:4d} {len(row.toe_error_rad):6d} {1e3 * np.mean(row.toe_error_rad):+9.3f}"

@@ -112,15 +112,15 @@ def wide_airframe() -> Airframe:
 
 def run(seeds: Iterable[int] = range(1, 5), duration_s: float = 60.0) -> list[Scored]:
     """Every way on every seed."""
-    return [scored for seed in seeds for scored in one(seed, duration_s)]
+    return [scored for seed in seeds for scored in score_flight(seed, duration_s)]
 
 
-def one(seed: int, duration_s: float = 60.0, airframe: Airframe | None = None) -> list[Scored]:
+def score_flight(seed: int, duration_s: float = 60.0, airframe: Airframe | None = None) -> list[Scored]:
     """One flight, three ways, by one tracker."""
     flight = build_flight(airframe or wide_airframe(), seed, duration_s)
     eyes = TrueEyes(flight)
     flown = _flown(flight, list(eyes.shots()))
-    return [_scored(way, flight, eyes, told) for way, told in zip(WAYS, flown, strict=True)]
+    return [_scored(way, flight, eyes, emitted) for way, emitted in zip(WAYS, flown, strict=True)]
 
 
 class TrueEyes:
@@ -163,8 +163,8 @@ class TrueEyes:
         left, right = exposures(rig, self._tips, bend, bend)
         points = self._ground(boot_ns, rng)
         left_px, right_px = rig.left.project(left.pose, points), rig.right.project(right.pose, points)
-        seen = _inside(rig, left_px) & _inside(rig, right_px)
-        left_px, right_px = left_px[seen][:_MATCHES], right_px[seen][:_MATCHES]
+        visible = _inside(rig, left_px) & _inside(rig, right_px)
+        left_px, right_px = left_px[visible][:_MATCHES], right_px[visible][:_MATCHES]
         right_px = right_px + _MATCH_PX * rng.standard_normal(right_px.shape)
         wrong = rng.random(len(right_px)) < _BLUNDERS
         right_px[wrong] += rng.normal(0.0, 3.0, (int(wrong.sum()), 2))
@@ -225,12 +225,12 @@ class _Untilted:
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """The tracker's bend with a slow slope that may be anything."""
-        found = self.tracker.smooth(t_host_ns)
-        if isinstance(found, Reject):
-            return found
-        covariance = found.covariance.copy()
-        covariance[4:, 4:] += _ANY_SLOPE_RAD**2 - found.slow_slope_sigma_rad**2
-        return dataclasses.replace(found, covariance=covariance, slow_slope_sigma_rad=_ANY_SLOPE_RAD)
+        deflection = self.tracker.smooth(t_host_ns)
+        if isinstance(deflection, Reject):
+            return deflection
+        covariance = deflection.covariance.copy()
+        covariance[4:, 4:] += _ANY_SLOPE_RAD**2 - deflection.slow_slope_sigma_rad**2
+        return dataclasses.replace(deflection, covariance=covariance, slow_slope_sigma_rad=_ANY_SLOPE_RAD)
 
 
 def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Record], list[Record]]:
@@ -239,20 +239,20 @@ def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Re
     state = start(flight.airframe, settings)
     blind = Correction.create(flight.airframe, dataclasses.replace(settings, hold_slow=0))
     untilted = Correction.create(flight.airframe, settings)
-    told: tuple[list[Record], list[Record], list[Record]] = ([], [], [])
+    emitted: tuple[list[Record], list[Record], list[Record]] = ([], [], [])
     for record in in_order(flight, shots):
         state, outputs = step(state, record)
-        told[2].extend(outputs)
+        emitted[2].extend(outputs)
         if isinstance(record, VehicleState):
             blind.vehicle.add(record)
             untilted.vehicle.add(record)
         elif isinstance(record, MatchSet):
-            told[0].extend(blind.add(record))
-            told[1].extend(untilted.add(record))
+            emitted[0].extend(blind.add(record))
+            emitted[1].extend(untilted.add(record))
         elif isinstance(record, Tick):
-            told[0].extend(blind.due(state.tracker, record.now_host_ns))
-            told[1].extend(untilted.due(_Untilted(state.tracker), record.now_host_ns))
-    return told
+            emitted[0].extend(blind.due(state.tracker, record.now_host_ns))
+            emitted[1].extend(untilted.due(_Untilted(state.tracker), record.now_host_ns))
+    return emitted
 
 
 def in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
@@ -266,14 +266,14 @@ def in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
 
 
 def _scored(way: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> Scored:
-    told = {record.pair_id: record for record in outputs if isinstance(record, RelativeRotation)}
+    rotations = {record.pair_id: record for record in outputs if isinstance(record, RelativeRotation)}
     t_s, error, sigma, over = [], [], [], []
     for record in outputs:
         if isinstance(record, CorrectedRange) and record.sigma_m < Settings().max_range_m:
             boot_ns = record.t_host_ns - HOST_EPOCH_NS
             t_s.append(boot_ns / _S)
             error.append(record.toe_rad - eyes.toe_rad(boot_ns))
-            sigma.append(float(np.sqrt(told[record.pair_id].slow_covariance[_YAW, _YAW])))
+            sigma.append(float(np.sqrt(rotations[record.pair_id].slow_covariance[_YAW, _YAW])))
             over.append(error[-1] / record.toe_sigma_rad)
     late = np.array(t_s) >= SETTLED_S
     slow = slow_part(np.array(t_s), np.array(error), _SLOW_HZ)
@@ -295,13 +295,13 @@ def main(arguments: list[str] | None = None) -> int:
         )
     missed = 0
     for way in WAYS:
-        mine = [row for row in rows if row.way == way]
-        rms, over, whole = (
-            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in mine])))
+        of_way = [row for row in rows if row.way == way]
+        rms, over, over_all = (
+            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in of_way])))
             for name in ("rms_mrad", "over_sigma", "whole_over_sigma")
         )
-        print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f} {whole:14.2f}")
-        missed |= not _HONEST[way][0] <= whole <= _HONEST[way][1]
+        print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f} {over_all:14.2f}")
+        missed |= not _HONEST[way][0] <= over_all <= _HONEST[way][1]
     return int(missed)
 
 

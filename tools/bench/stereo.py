@@ -63,19 +63,19 @@ def _measure(width: int, height: int, focal_px: float, rounds: int) -> dict[str,
     narrow = expected_search(rig, settings, (0.0, 0.0), (0.0, 0.0), 0.003)
     wide = trim_search(rig, airframe, settings)
     still = Deflection(0, np.zeros(2), np.zeros(2), np.zeros(2), np.zeros((6, 6)), np.zeros(3), 0, 0.0)
-    found = _match_set(match(left, right, rig, narrow))
+    matches = _match_set(match(left, right, rig, narrow))
     tasks: dict[str, Callable[[], object]] = {
         "rigid_ms": rigid,
         "moving_ms": moving,
         "sparse_ms": lambda: match(left, right, rig, narrow),
         "sparse_wide_ms": lambda: match(left, right, rig, wide),
-        "range_ms": lambda: correct(found, still, still, rig, airframe, settings),
+        "range_ms": lambda: correct(matches, still, still, rig, airframe, settings),
     }
     times = _interleaved(tasks, rounds)
     row: dict[str, Any] = {name: statistics.median(values) for name, values in times.items()}
     pairs = zip(times["moving_ms"], times["rigid_ms"], strict=True)
     row["moving_over_rigid"] = statistics.median(a - b for a, b in pairs) / row["rigid_ms"]
-    return {"size": f"{width}x{height}", "matches": len(found.sigma_px), **row}
+    return {"size": f"{width}x{height}", "matches": len(matches.sigma_px), **row}
 
 
 def _interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:

@@ -45,7 +45,7 @@ _TICK_MS = 10
 _TURN_MS = 20
 _TIMESYNC_MS = 100
 _ROWS = 18
-_ROUNDS = 5  # whose medians count
+_REPEATS = 5  # whose medians count
 _FILTER_STEPS = 1500
 _CLOCKS = {Station.ROOT: ClockName.BOOT, Station.LEFT: ClockName.NODE_LEFT, Station.RIGHT: ClockName.NODE_RIGHT}
 
@@ -58,7 +58,7 @@ def run(seconds: float = SECONDS) -> list[dict[str, Any]]:
     chunks = _chunks(frames)
     inputs = _inputs(flight, chunks)
     few = frames[: 3 * round(1000 * min(seconds, 3.0))]
-    rounds = [(_cpu_s(lambda: _decoded(chunks)), *_driven(inputs, belief), _udp_mavutil(few)) for _ in range(_ROUNDS)]
+    rounds = [(_cpu_s(lambda: _decoded(chunks)), *_driven(inputs, belief), _udp_mavutil(few)) for _ in range(_REPEATS)]
     decode, early, late, plan, turn, mavutil_hz = (statistics.median(column) for column in zip(*rounds, strict=True))
     decode, settled = decode / seconds, seconds - SETTLE_S
     mavutil = mavutil_hz / 3000.0

@@ -100,25 +100,25 @@ class Pooled:
 def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
     """Put the flights of a row together."""
     names = parts[0]["columns"]
-    tables = [np.array(part["judged"], dtype=np.float64).reshape(-1, len(names)) for part in parts]
+    tables = [np.array(flown["judged"], dtype=np.float64).reshape(-1, len(names)) for flown in parts]
     aloft, airborne_s, expected = [], [], 0
-    for part, table in zip(parts, tables, strict=True):
+    for flown, table in zip(parts, tables, strict=True):
         t_s = table[:, names.index("t_s")]
-        aloft.append((t_s > part["lift_off_s"]) & (t_s < part["touch_down_s"]))
-        airborne_s.append(t_s - part["lift_off_s"])
-        first_s = SETTLED_S + part["lift_off_s"]
+        aloft.append((t_s > flown["lift_off_s"]) & (t_s < flown["touch_down_s"]))
+        airborne_s.append(t_s - flown["lift_off_s"])
+        first_s = SETTLED_S + flown["lift_off_s"]
         # the last shots of a flight still wait for the smoother when it ends
-        last_s = min(part["touch_down_s"], float(t_s[-1]) if len(t_s) else part["touch_down_s"])
-        expected += max(round((last_s - first_s) / part["shot_s"]), 0)
+        last_s = min(flown["touch_down_s"], float(t_s[-1]) if len(t_s) else flown["touch_down_s"])
+        expected += max(round((last_s - first_s) / flown["shot_s"]), 0)
     return Pooled(
         row,
-        tuple(part["seed"] for part in parts),
+        tuple(flown["seed"] for flown in parts),
         expected,
         np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)]),
         dict(zip(names, np.concatenate(tables).T, strict=True)),
         np.concatenate(aloft),
         np.concatenate(airborne_s),
-        sum((Counter(part["withheld"]) + Counter(part["refused"]) for part in parts), Counter()),
+        sum((Counter(flown["withheld"]) + Counter(flown["refused"]) for flown in parts), Counter()),
     )
 
 
@@ -129,13 +129,13 @@ def summary(group: Pooled) -> dict[str, float]:
     published = int(np.sum(trusted & group.awaited))
     over = group.toe_error[good] / c["toe_sigma"][good]
     off_m = np.abs(c["range_m"] - c["true_m"])[trusted]
-    share, sigmas = off_m / c["true_m"][trusted], off_m / c["sigma_m"][trusted]
+    off_ratio, sigmas = off_m / c["true_m"][trusted], off_m / c["sigma_m"][trusted]
     total = max(group.expected - int(np.sum(group.due & ~group.textured)), int(np.sum(group.awaited)))
     low, high = wilson(published, total)
     figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
                "published": int(np.sum(trusted)), "toe_mrad": 1e3 * rms(group.toe_error[good]),
                "nees": float(np.mean(over**2)) if len(over) else math.nan,
-               "wrong": int(np.sum((sigmas > 5.0) & (share > 0.05))), "far": int(np.sum(share > 0.2)),
+               "wrong": int(np.sum((sigmas > 5.0) & (off_ratio > 0.05))), "far": int(np.sum(off_ratio > 0.2)),
                "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
     for k in (1, 2, 3):
         figures[f"inside_{k}"] = float(np.mean(np.abs(over) <= k)) if len(over) else math.nan
@@ -174,10 +174,10 @@ def _fast_mrad(group: Pooled, name: str, seeds: Container[int] | None = None) ->
     for k, seed in enumerate(group.seeds):
         if seeds is not None and seed not in seeds:
             continue
-        mine = (group.flight == k) & group.settled & group.trusted & np.isfinite(group.columns[name])
-        if np.sum(mine) > 10:
-            error = (group.columns[name] - group.columns["true_toe"])[mine]
-            fast = error - slow_part(group.columns["t_s"][mine], error, _FAST_HZ)
+        usable = (group.flight == k) & group.settled & group.trusted & np.isfinite(group.columns[name])
+        if np.sum(usable) > 10:
+            error = (group.columns[name] - group.columns["true_toe"])[usable]
+            fast = error - slow_part(group.columns["t_s"][usable], error, _FAST_HZ)
             squares, count = squares + float(np.sum(fast**2)), count + len(fast)
     return 1e3 * math.sqrt(squares / count) if count else math.nan
 
@@ -194,7 +194,7 @@ def campaign(wanted: list[CampaignRow], numbers: range, folder: Path, workers: i
         fly_task,
         workers,
         scheduler,
-        lambda part: f"{part['row']}, {part['airframe']}, seed {part['seed']} flown",
+        lambda flown: f"{flown['row']}, {flown['airframe']}, seed {flown['seed']} flown",
     )
 
 
@@ -203,8 +203,8 @@ def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
     groups = []
     for row in wanted:
         parts = [json.loads(path.read_text()) for path in sorted((folder / row.key).glob("*.json"))]
-        parts = [part for part in parts if not part.get("failed")]
-        if parts and any(part["judged"] for part in parts):
+        parts = [flown for flown in parts if not flown.get("failed")]
+        if parts and any(flown["judged"] for flown in parts):
             groups.append(pooled(row, parts))
     return groups
 
@@ -231,10 +231,10 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
             short.append("reference")
         failures += bool(short)
         name = f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s}"
-        share = f"{100 * f['trusted']:6.1f}% {100 * f['low']:5.1f}-{100 * f['high']:5.1f}"
+        trusted = f"{100 * f['trusted']:6.1f}% {100 * f['low']:5.1f}-{100 * f['high']:5.1f}"
         inside = f"{100 * f['inside_1']:4.0f} {100 * f['inside_2']:4.0f} {100 * f['inside_3']:5.1f}"
         lines.append(
-            f"{name} {group.flights:3d} {share} {f['toe_mrad']:6.3f} {f['nees']:6.2f} {inside} {f['published']:6.0f}"
+            f"{name} {group.flights:3d} {trusted} {f['toe_mrad']:6.3f} {f['nees']:6.2f} {inside} {f['published']:6.0f}"
             f" {f['wrong']:5.0f} {f['far']:4.0f}  {', '.join(short)}"
         )
         if not group.row.accident.name:

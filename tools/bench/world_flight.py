@@ -93,8 +93,8 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
         flight = undisturbed(flight)
     pair = StruckPair(flight, row.accident.knock_rad)
     shots = list(judged_shots(flight, pair))
-    told = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
-    inputs = list(_too_fast(_lying(in_order(flight, told), row.accident), row.accident))
+    stamped = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
+    inputs = list(_too_fast(_lying(in_order(flight, stamped), row.accident), row.accident))
     outputs = _driven(flight.airframe, inputs)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
@@ -231,8 +231,8 @@ def _seen_points(left: PosedCamera, left_px: Floats, pair: PosedPair, rng: np.ra
     points = left.points_ned_m(pair.scene, left_px)
     floor = next(plane for plane in pair.scene.planes if plane.half_size_m is None)
     bare = np.abs(points[:, 2] - floor.centre_m[2]) < 0.01
-    kept = rng.random(len(points)) < np.where(bare, min(floor.contrast / _FADED, 1.0), 1.0)
-    return points, kept & np.isfinite(points[:, 0])
+    textured = rng.random(len(points)) < np.where(bare, min(floor.contrast / _FADED, 1.0), 1.0)
+    return points, textured & np.isfinite(points[:, 0])
 
 
 # ------------------------------------------------------------------------------------------------ accidents

@@ -37,13 +37,13 @@ def peer_toes(
     """Toe (n,) of each peer at the shots, rows of (pair id, seconds of boot time); NaN where it has none."""
     t_s = np.array([shot[1] for shot in shots])
     grid_s, tips = _tips_on_grid(records)
-    told = {IMAGES: np.array([pair_alone(airframe, matches[int(shot[0])]) for shot in shots])}
-    told[TILT] = told[BAND_PASS] = np.full(len(t_s), np.nan)
+    estimates = {IMAGES: np.array([pair_alone(airframe, matches[int(shot[0])]) for shot in shots])}
+    estimates[TILT] = estimates[BAND_PASS] = np.full(len(t_s), np.nan)
     if airframe.looks_down:  # a pair that looks ahead is rolled, not yawed, by bending
-        told[BAND_PASS] = np.interp(t_s, grid_s, band_pass(airframe, tips))
+        estimates[BAND_PASS] = np.interp(t_s, grid_s, band_pass(airframe, tips))
         if set("ypr") <= set(airframe.left.sends):
-            told[TILT] = np.interp(t_s, grid_s, tilt_filter(tips))
-    return told
+            estimates[TILT] = np.interp(t_s, grid_s, tilt_filter(tips))
+    return estimates
 
 
 def pair_alone(airframe: Airframe, matches: MatchSet) -> float:
@@ -61,8 +61,8 @@ def pair_alone(airframe: Airframe, matches: MatchSet) -> float:
     if len(left) < 12:
         return math.nan
     for _ in range(_ITERATIONS):
-        seen = right @ exp_rotation(turn).T
-        xr, yr, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2], left[:, 1] / left[:, 2]
+        rays = right @ exp_rotation(turn).T
+        xr, yr, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2], left[:, 1] / left[:, 2]
         columns = np.stack([-(1.0 + yr**2), xr * yr, xr], axis=1)
         residual = y - yr
         scale = 1.4826 * np.median(np.abs(residual)) + 1e-9

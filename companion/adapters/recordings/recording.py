@@ -116,7 +116,7 @@ def join(axis_groups: Sequence[InertialStream]) -> InertialStream:
 
 
 def rate_of(t_ns: Ints, otherwise_hz: float) -> float:
-    """Mean rate of these stamps, gaps left out; ``otherwise_hz`` where they are too few or no rate of a sensor."""
+    """Mean rate of stamps (n,), gaps left out; ``otherwise_hz`` where they are too few or no rate of a sensor."""
     steps_ns = np.diff(t_ns)
     steps_ns = steps_ns[steps_ns > 0]
     if not steps_ns.size:
@@ -137,7 +137,7 @@ class Notes:
             self.notices.append(Notice(severity, text, at_host_ns))
 
     def gaps(self, name: str, t_ns: Ints) -> None:
-        """Say where a stream has gaps (over 2.5 usual steps), uneven steps, or stamps that do not increase."""
+        """Say where a stream's stamps (n,) have gaps (over 2.5 usual steps), uneven steps, or do not increase."""
         if t_ns.size < 3:
             return
         steps = np.diff(t_ns)

@@ -87,7 +87,7 @@ class RemoteClockEstimator:
         return self.state()
 
     def to_host(self, t_ns: Ints, received_host_ns: int | None) -> tuple[Ints, int] | Reject:
-        """See :meth:`companion.core.clock.bank.ClockBank.to_host`."""
+        """Host time (n,) of stamps; see :meth:`companion.core.clock.bank.ClockBank.to_host`."""
         if self._window is None or not self._mapping or self._suspect is not None:
             return Reject.CLOCK_UNSYNCED
         if t_ns.size == 0:

@@ -58,7 +58,7 @@ class Innovation:
     covariance: Floats
 
     def loosened(self, covariance: Floats) -> Innovation:
-        """The same with more covariance."""
+        """The same with more covariance, (3, 3) rad^2."""
         return Innovation(self.rotation_rad, self.covariance + covariance)
 
 
@@ -130,7 +130,7 @@ class RangeGate:
         self._reopened, self._agreeing = True, 0
 
     def judge(
-        self, measured: CorrectedRange, climb_mps: float, slack_mps: float = 5.0, lasting_m: float = 0.0
+        self, measured: CorrectedRange, climb_mps: float, slack_mps: float, lasting_m: float = 0.0
     ) -> CorrectedRange:
         """Withdraw the trust of a range that jumps.
 
@@ -141,7 +141,7 @@ class RangeGate:
         climb_mps : float
             Climb rate.
         slack_mps : float
-            Bounds what terrain and speed do.
+            Bounds what terrain and speed do: :func:`range_slack_mps`.
         lasting_m : float
             The part of its sigma that the ranges around it share: it is no reason for a jump.
         """
@@ -263,7 +263,7 @@ def surely_beyond(inverse_pm: Floats, sigma_pm: Floats, slant: Floats, settings:
 
 
 def clears(far_matches: Ints) -> Bools:
-    """Whether counts of far matches clear their sectors."""
+    """Whether counts (n,) of far matches clear their sectors."""
     return far_matches >= _CLEAR_MATCHES
 
 

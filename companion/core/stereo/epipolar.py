@@ -132,9 +132,9 @@ class EpipolarFilter:
         """Whether any matches have been taken."""
         return self._updated_ns is not None
 
-    def reopen(self, sigma_rad: float = KNOCK_RAD) -> None:
-        """Doubt the rotation about every axis by a sigma more: only what matches tell from now on counts."""
-        self._covariance[:3, :3] += sigma_rad**2 * np.eye(3)
+    def reopen(self) -> None:
+        """Doubt the rotation about every axis by ``KNOCK_RAD`` more: only what matches tell from now on counts."""
+        self._covariance[:3, :3] += KNOCK_RAD**2 * np.eye(3)
         self._forget_flight()
         self._test = MatchTest()
 

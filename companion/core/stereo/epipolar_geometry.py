@@ -36,7 +36,7 @@ def epipolar_frame(rig: Rig) -> Floats:
 
 
 def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
-    """Express rays in another frame."""
+    """Express rays in another frame, ``frame_from_body`` (3, 3)."""
     arrays = (rays.left_m, rays.left, rays.right_m, rays.right)
     return Rays(*(np.asarray(array @ frame_from_body.T, dtype=np.float64) for array in arrays))
 

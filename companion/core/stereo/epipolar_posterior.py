@@ -65,7 +65,10 @@ class Posterior:
 
 
 def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
-    """Prior covariance of all states: those that stay from pair to pair, this pair's baseline and innovation."""
+    """Prior covariance (n, n) of all states: those that stay from pair to pair, this pair's baseline and innovation.
+
+    ``persistent_covariance`` (p, p), and ``shift_covariance`` (2, 2) of the baseline's direction.
+    """
     joint = np.zeros((ALL_STATES, ALL_STATES))
     joint[:PERSISTENT_STATES, :PERSISTENT_STATES] = persistent_covariance
     joint[SHIFT, SHIFT], joint[INNOVATION, INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
@@ -139,7 +142,10 @@ def with_bound_innovation(answer: Posterior, granted_rad2: Floats) -> Posterior:
 
 
 def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, considered: list[int]) -> Posterior:
-    """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain."""
+    """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain.
+
+    ``mean`` (n,) and ``prior`` (n, n) are those before.
+    """
     after, covariance = answer.mean.copy(), answer.covariance.copy()
     after[considered] = mean[considered]
     block = np.ix_(considered, considered)

@@ -140,5 +140,5 @@ def rotation_rows(bend: BendBelief) -> Floats:
 
 
 def with_lens_rows(rotation: Floats) -> Floats:
-    """Rows that give the lens terms, below those that add up a rotation."""
+    """Rows (k, all states) that give the lens terms, below the three that add up a rotation."""
     return np.concatenate([rotation, np.eye(rotation.shape[1])[LENS]])

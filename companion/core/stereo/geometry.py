@@ -173,11 +173,11 @@ class Rig:
         return self.camera(side).pose(slope_rad, lift_m, twist_rad)
 
     def project(self, side: Side, pose: Pose, points_body_m: Floats) -> Floats:
-        """Pixels of body points; see :meth:`MountedCamera.project`."""
+        """Pixels (n, 2) of body points (n, 3); see :meth:`MountedCamera.project`."""
         return self.camera(side).project(pose, points_body_m)
 
     def unproject(self, side: Side, pixels: Floats) -> Floats:
-        """Rays in camera axes with z = 1 of distorted pixels; see :meth:`Lens.unproject`."""
+        """Rays (n, 3) in camera axes with z = 1 of distorted pixels (n, 2); see :meth:`Lens.unproject`."""
         return self.camera(side).lens.unproject(pixels)
 
     @property

@@ -91,7 +91,7 @@ def robust_inverse_depth(
 
 
 def consistent(depths: Depths) -> Ints:
-    """Indices of finite matches whose vertical parallax agrees with that of the others.
+    """Indices (k,) of finite matches whose vertical parallax agrees with that of the others.
 
     A common parallax is an error of the extrinsics and smooth over the image; a match that differs is a wrong match.
     Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.

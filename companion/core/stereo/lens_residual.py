@@ -65,12 +65,12 @@ class LensAxes:
 
     @classmethod
     def exposed(cls, pair: tuple[CameraExposure, CameraExposure], epipolar_from_body: Floats) -> LensAxes:
-        """Axes at both exposures, in body axes."""
+        """Axes at both exposures, in body axes; ``epipolar_from_body`` (3, 3)."""
         left, right = (exposure.pose.camera_from_body for exposure in pair)
         return cls(*(np.rint(epipolar_from_body @ camera.T) @ camera for camera in (left, right)))
 
     def in_frame(self, frame_from_body: Floats) -> LensAxes:
-        """The axes in another frame than body axes."""
+        """The axes in another frame than body axes, ``frame_from_body`` (3, 3)."""
         return LensAxes(self.left @ frame_from_body.T, self.right @ frame_from_body.T)
 
     def turned(self, half: Floats) -> LensAxes:

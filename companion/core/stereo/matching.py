@@ -91,9 +91,9 @@ def match(
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 
 
-def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int, most: int = 200) -> MatchSet:
+def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int) -> MatchSet:
     """Match a frame pair and give the record that is handed on (and recorded for replay)."""
-    matches = match(pair.left.image, pair.right.image, rig, search, most)
+    matches = match(pair.left.image, pair.right.image, rig, search)
     return MatchSet(
         pair_id=pair.pair_id,
         plan_id=pair.left.plan_id,
@@ -168,7 +168,10 @@ def _roll(points_px: Floats, down_px: Floats) -> float:
 
 
 def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
-    """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
+    """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check).
+
+    ``chosen`` (n,) marks the matches of ``fine`` that are asked, of which each is answered; ``slopes`` (n, 2, 2).
+    """
     left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
     centres_px = np.rint(right_px).astype(np.int64)
     expected = left_px + (centres_px - right_px)

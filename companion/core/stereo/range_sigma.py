@@ -109,6 +109,8 @@ def gradient_of(
 def toe_gradient(epipolar_y: Floats) -> Gradient:
     """Gradient of the relative toe: the angle by which the optical axes diverge in the epipolar plane.
 
+    ``epipolar_y`` (3,) is a unit vector.
+
     A camera turned by ``r`` moves its axis toward the right wing by ``r . y``, with y the third axis of the frame whose
     x is the baseline and z the viewing direction.
     """

@@ -111,7 +111,7 @@ def rectify_pair(frame: Rectification, rig: Rig, left: Bytes, right: Bytes, leve
 
 
 def rectification_maps(frame: Rectification, lens: Lens, pose: Pose, level: int = 0) -> tuple[Floats, Floats]:
-    """Float maps for :func:`cv2.remap`, from rectified to raw pixels (of the image halved ``level`` times)."""
+    """Maps (rows, columns) of :func:`cv2.remap`, from rectified to raw pixels (of the image halved ``level`` times)."""
     factor = 0.5**level
     size = (-(-frame.size_px[0] // 2**level), -(-frame.size_px[1] // 2**level))
     maps: tuple[Floats, Floats] = cv2.initUndistortRectifyMap(
@@ -126,6 +126,6 @@ def rectification_maps(frame: Rectification, lens: Lens, pose: Pose, level: int 
 
 
 def scaled(matrix: Floats, factor: float) -> Floats:
-    """Camera matrix of an image that was shrunk about its first pixel's centre, as ``cv2.pyrDown`` does."""
+    """Camera matrix (3, 3) of an image that was shrunk about its first pixel's centre, as ``cv2.pyrDown`` does."""
     smaller: Floats = matrix * np.array([[factor], [factor], [1.0]])
     return smaller

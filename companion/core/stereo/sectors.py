@@ -19,8 +19,8 @@ SECTORS = 72  # elements of MAVLink's OBSTACLE_DISTANCE
 _WIDTH_RAD = 2.0 * np.pi / SECTORS
 # What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
 _LEVEL = 0.1
-_ABOVE_M = 5.0  # height band of what is in the way (choice)
-_BELOW_M = 5.0  # height band of what is in the way (choice)
+_ABOVE_M = 5.0  # above the body's origin, to which a point is in the way (choice)
+_BELOW_M = 5.0  # below the body's origin, to which a point is in the way (choice)
 
 
 def matched_sectors(
@@ -63,13 +63,7 @@ def level_from_body(roll_rad: float, pitch_rad: float) -> Floats:
 
 
 def sectors_of(
-    direction: Floats,
-    inverse_pm: Floats,
-    sigma_pm: Floats,
-    origin_m: Floats,
-    t_host_ns: int,
-    settings: Settings,
-    height_band_m: tuple[float, float] = (_ABOVE_M, _BELOW_M),
+    direction: Floats, inverse_pm: Floats, sigma_pm: Floats, origin_m: Floats, t_host_ns: int, settings: Settings
 ) -> ObstacleSectors:
     """Nearest obstacle per sector.
 
@@ -86,8 +80,6 @@ def sectors_of(
         Time of the pair.
     settings : Settings
         Range limits and trust ratio.
-    height_band_m : tuple
-        How far above and below the body's origin a point is in the way.
 
     Returns
     -------
@@ -103,7 +95,7 @@ def sectors_of(
     positive = np.where(inverse_pm > 0.0, inverse_pm, np.nan)
     points = origin_m + direction / positive[:, np.newaxis]
     distance = np.hypot(points[:, 0], points[:, 1])
-    in_band = (points[:, 2] >= -height_band_m[0]) & (points[:, 2] <= height_band_m[1])
+    in_band = (points[:, 2] >= -_ABOVE_M) & (points[:, 2] <= _BELOW_M)
     in_range = (distance >= settings.min_range_m) & (distance <= settings.max_range_m)
     solid = in_band & in_range & precise(positive, sigma_pm, settings)
     nearest, sigma_m = np.zeros(SECTORS), np.zeros(SECTORS)

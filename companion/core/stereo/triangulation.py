@@ -75,7 +75,7 @@ def match_rays(rig: Rig, exposures: tuple[CameraExposure, CameraExposure], match
 
 
 def range_axis_of_rig(rig: Rig, axis: Floats) -> RangeAxis:
-    """RangeAxis from midway between the two cameras at rest, which is where the range counts from."""
+    """RangeAxis along ``axis`` (3,) from midway between the cameras at rest, which is where the range counts from."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = helper - (helper @ axis) * axis
     first /= np.linalg.norm(first)

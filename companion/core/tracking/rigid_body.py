@@ -125,7 +125,11 @@ def build_epochs(
     error_columns: Ints,
     parameter_count: int,
 ) -> Epochs:
-    """Epochs with ``BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
+    """Epochs with ``BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing.
+
+    ``sends`` (3, 6) by stream and axis, ``levers_m`` (2, 3) of the tips from the root, ``error_columns`` as
+    ``tracking.states`` gives them.
+    """
     edges_ns = first_ns + step_ns * np.arange(-BEFORE, count + _PADDING + 1)
     epochs = _empty(count + BEFORE + _PADDING, parameter_count)
     _build(

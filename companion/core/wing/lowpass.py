@@ -27,7 +27,7 @@ class Butterworth2:
         _check_cutoff(self.cutoff_hz)
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Complex gain at each frequency."""
+        """Complex gain (k,) at each frequency."""
         r = np.asarray(frequency_hz, dtype=np.float64) / self.cutoff_hz
         return np.asarray(1.0 / (1.0 - r**2 + 1j * math.sqrt(2.0) * r))
 
@@ -68,7 +68,7 @@ class Biquad:
         return cls((b0, 2.0 * b0, b0), (a1, a2), rate_hz)
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Complex gain at each frequency, below half the rate."""
+        """Complex gain (k,) at each frequency, below half the rate."""
         delay = np.exp(-2j * math.pi * np.asarray(frequency_hz, dtype=np.float64) / self.rate_hz)
         top = self.b[0] + (self.b[1] + self.b[2] * delay) * delay
         return np.asarray(top / (1.0 + (self.a[0] + self.a[1] * delay) * delay))

@@ -103,7 +103,10 @@ class WingModel:
     def remembered(
         self, t_s: float, q_m: Floats, qdot_mps: Floats, load_factor: float, before: Memories | None
     ) -> Memories:
-        """Memories of history-dependent forces at an instant, for the next step; ``before`` are those of the last."""
+        """Memories of history-dependent forces at an instant, for the next step; ``before`` are those of the last.
+
+        ``q_m`` and ``qdot_mps`` (n,) are the modal coordinates and their rates.
+        """
         static = self.q_static(load_factor)
         motion = ModalMotion(t_s, q_m, qdot_mps, static, load_factor, self.structure)
         pairs = zip(self._forcing, before or self._nothing, strict=True)

@@ -26,7 +26,7 @@ class SampleDefect:
 
 
 def lattice_step(values: Floats) -> float:
-    """Step of the lattice that all values lie on, in their unit; 0 where there is none."""
+    """Step of the lattice that all values (m,) lie on, in their unit; 0 where there is none."""
     distinct = np.unique(values)
     if len(distinct) < 2:
         return 0.0
@@ -40,7 +40,7 @@ def lattice_step(values: Floats) -> float:
 
 
 def evenly_stamped(t_s: Floats) -> bool:
-    """Whether increasing stamps are whole numbers of one step apart."""
+    """Whether increasing stamps (m,) are whole numbers of one step apart."""
     steps = np.diff(t_s)
     if not len(steps):
         return False

@@ -61,7 +61,7 @@ class EdgeFit:
         return np.asarray(self.rows(span_m, 1) @ self.coefficients)
 
     def rows(self, span_m: Floats, derivative: int) -> Floats:
-        """Basis rows at stations; raise :class:`ValueError` outside the measured span."""
+        """Basis rows (k, coefficients) at stations (k,); raise :class:`ValueError` outside the measured span."""
         span = np.asarray(span_m, dtype=np.float64)
         low, high = self.span_m
         slack = 1e-9 * (high - low)
@@ -129,7 +129,7 @@ class ShapeAt:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations of deflection, slope and twist."""
+        """Standard deviations (3,) of deflection, slope and twist."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 

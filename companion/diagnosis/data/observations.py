@@ -41,7 +41,7 @@ class RawRanges:
     reference_m: Floats | None = None
 
     def taken(self, rows: Ints) -> RawRanges:
-        """Some rows, in this order."""
+        """Rows of these numbers (k,), in this order."""
         reference_m = None if self.reference_m is None else self.reference_m[rows]
         return RawRanges(self.t_s[rows], self.range_m[rows], reference_m)
 
@@ -202,6 +202,6 @@ class Observations:
 
 
 def clear_of_ends(t_s: Floats, start_s: float, stop_s: float) -> Bools:
-    """Which instants are far enough from the ends, where the smoothed wing is not known: as far as these fade."""
+    """Which instants (m,) are far enough from the ends, where the smoothed wing is not known: as far as these fade."""
     margin_s = max(_MARGIN_S, faded_share(stop_s - start_s) * (stop_s - start_s))
     return np.asarray((t_s > start_s + margin_s) & (t_s < stop_s - margin_s))

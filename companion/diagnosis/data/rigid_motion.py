@@ -24,7 +24,7 @@ _WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0  # manoeuvres are slower, and the noise of a 
 
 
 def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
-    """Undo a sensor's low-pass (2nd-order Butterworth) where something came through it; a corner of 0 is none."""
+    """Values (m,) without a sensor's 2nd-order Butterworth, where something came through it; a corner of 0 is none."""
     if not corner_hz:
         return values
     passed = Butterworth2(corner_hz).response(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)))

@@ -18,7 +18,7 @@ from companion.records import Floats
 
 
 def find_sample_defects(t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> list[SampleDefect]:
-    """Every effect that one stream's stamps and values show."""
+    """Every effect that one stream's stamps and values, both (m,), show."""
     defects = [kind.sample_defect(t_s, force_z_mps2, sensor) for kind in catalogue().values() if kind.in_samples]
     return [entry for entry in defects if entry is not None]
 

@@ -38,7 +38,7 @@ class Segment:
 
 
 def gaps_of(t_s: Floats) -> list[Span]:
-    """Gaps of one stream's increasing times."""
+    """Gaps of one stream's increasing times (m,)."""
     step = np.diff(t_s)
     if not len(step):
         return []
@@ -47,7 +47,7 @@ def gaps_of(t_s: Floats) -> list[Span]:
 
 
 def segments_of(streams: Sequence[Floats]) -> list[Segment]:
-    """Segments in which all streams are there but for short gaps; none where they do not make up 8 s."""
+    """Segments in which all streams' times (m,) are there but for short gaps; none where they do not make up 8 s."""
     if any(len(t_s) < 2 for t_s in streams):
         return []
     start_s, stop_s = max(float(t_s[0]) for t_s in streams), min(float(t_s[-1]) for t_s in streams)
@@ -60,7 +60,7 @@ def segments_of(streams: Sequence[Floats]) -> list[Segment]:
 
 
 def longest_stretch_s(streams: Sequence[Floats]) -> float:
-    """The longest time in which no stream has a gap."""
+    """The longest time in which no stream's times (m,) have a gap."""
     if any(len(t_s) < 2 for t_s in streams):
         return 0.0
     start_s, stop_s = max(float(t_s[0]) for t_s in streams), min(float(t_s[-1]) for t_s in streams)

@@ -67,7 +67,7 @@ def in_order(stamped_s: Floats, values: Floats) -> Ordered:
 
 
 def longest_run(stamped_s: Floats) -> Ints:
-    """Rows of the longest run in which time does not begin anew."""
+    """Rows (k,) of the longest run of stamps (m,) in which time does not begin anew."""
     count = len(stamped_s)
     behind = np.maximum.accumulate(stamped_s) - stamped_s > _ANEW_S
     starts = [0]
@@ -79,7 +79,7 @@ def longest_run(stamped_s: Floats) -> Ints:
 
 
 def by_stamp(stamped_s: Floats) -> Ints:
-    """Rows of the longest run in the order of their stamps."""
+    """Rows (k,) of the longest run in the order of their stamps (m,)."""
     run = longest_run(stamped_s)
     return run[np.argsort(stamped_s[run], kind="stable")]
 

@@ -162,7 +162,7 @@ def _toe(model: FlightModel, expectation: Expectation, rng: np.random.Generator)
 
 
 def outliers(white: Floats) -> Floats:
-    """Standard normal equivalent of the kurtosis of white noise, along the last axis.
+    """Standard normal equivalent (...,) of the kurtosis of white noise (..., m), along the last axis.
 
     A kurtosis has a longer tail than its skewness in some hundred draws tells: 4 sigma would count as 4.6. After
     Anscombe and Glynn, Biometrika 70 (1983) 227.

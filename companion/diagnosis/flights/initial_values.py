@@ -19,14 +19,14 @@ from companion.records import Floats
 _CHUNK = 8  # bins whose mean power is near normal
 _PARTS = 14  # bands of a spectrum
 _STEP = 1e-3  # of a prior sigma, for a difference quotient
-_ROUNDS = 12  # Gauss-Newton steps at most
+_GAUSS_NEWTON_STEPS = 12  # at most (choice)
 _CLOSE = 1.6  # mean square of residuals in units of what chance makes
 _ENOUGH = 1e-3  # gain in likelihood a point at which the steps end
 _MOST = 2.0  # prior sigmas in one step
 
 
 def initial_values(models: Sequence[FlightModel]) -> list[Floats]:
-    """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
+    """Nuisances (p,) from which to fit without effects; either may end in a bad optimum, hardly both."""
     believed = np.zeros(len(models[0].belief.nuisances))
     return [regressed_start(models, believed), noise_floor_start(models, believed)]
 
@@ -50,7 +50,7 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
         ((candidate, residual(candidate)) for candidate in (values, noise_floor_start(models, values))),
         key=lambda power: _penalised_squares(power[1], power[0], sigmas),
     )
-    for _ in range(_ROUNDS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         slopes = np.stack([(residual(_moved(values, i, sigmas)) - deviation) / (_STEP * sigmas[i]) for i in free], 1)
         better = _step(residual, values, deviation, slopes, free, sigmas)
         if better is None:
@@ -63,7 +63,7 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
 
 
 def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
-    """The same with each sensor's noise at the lowest part of its spectrum."""
+    """Nuisances (p,) of ``start`` with each sensor's noise at the lowest part of its spectrum."""
     belief, values = models[0].belief, start.copy()
     for model in models:
         edges = np.geomspace(float(model.band_hz[0]), float(model.band_hz[-1]) * 1.0001, _PARTS + 1)

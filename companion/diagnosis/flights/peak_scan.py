@@ -23,7 +23,7 @@ _DAMPING = 0.02  # ratio of the trial resonance
 def peaks(
     models: Sequence[FlightModel], expectations: Sequence[Expectation]
 ) -> tuple[list[str], list[list[Column]], Floats]:
-    """Names, columns by recording, and the skewness of each score by chance."""
+    """Names of n peaks, columns by recording, and the skewness (n,) of each score by chance."""
     low_hz = max(float(model.band_hz[0]) for model in models)
     top_hz = max(float(model.band_hz[-1]) for model in models)
     places = np.exp(np.arange(np.log(_APART * low_hz), np.log(top_hz), np.log(_APART))).tolist()

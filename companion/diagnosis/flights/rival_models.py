@@ -33,7 +33,7 @@ BETTER = 2.0
 with Phi(-d/2 - 2/d), 2 % at most."""
 _REFITTED, _TWINS = 3, 1  # candidates, and such whose score is a name's, a bound on the cost
 _OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep
-_ROUNDS = 8  # steps of a fit that ranks
+_RANKING_STEPS = 8  # scoring steps of a fit that ranks (choice)
 _FIRST_STEP = 0.5  # prior sigmas
 
 
@@ -145,6 +145,6 @@ def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Ch
 def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate[EffectTerm]) -> FlightFit | None:
     try:
         begun = (*base.terms, perturbed_start(candidate, _FIRST_STEP))
-        return fit(models, begun, base, _ROUNDS, UNPREJUDICED, values_alone=True)
+        return fit(models, begun, base, _RANKING_STEPS, UNPREJUDICED, values_alone=True)
     except UNPHYSICAL:
         return None

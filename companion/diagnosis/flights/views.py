@@ -21,6 +21,7 @@ from companion.records import Floats
 _LAGS_S = 1.0
 _CELLS = 13  # of a map, odd so that one stands at zero
 _REACH = 2.2  # rms
+_AMPLITUDE_BINS = 8  # points of a backbone, of equally many samples (choice)
 _FEWEST = 12  # samples of a cell that is drawn
 _DRAWS = 40  # a bound on the cost of a view
 _SEED = 20250103  # convention: any fixed number
@@ -85,7 +86,7 @@ def force_map(model: FlightModel, expectation: Expectation) -> ForceMap:
     return ForceMap(edges, np.where(count >= _FEWEST, total / np.maximum(count, 1), np.nan))
 
 
-def backbone(model: FlightModel, expectation: Expectation, bins: int = 8) -> Backbone:
+def backbone(model: FlightModel, expectation: Expectation) -> Backbone:
     """Frequency and damping of the symmetric mode over its amplitude."""
     wing = model.belief.airframe.wing.symmetric
     omega = 2.0 * np.pi * wing.frequency_hz.value
@@ -98,7 +99,7 @@ def backbone(model: FlightModel, expectation: Expectation, bins: int = 8) -> Bac
     turn[-1] = turn[-2]
     force, speed = _force(model, expectation), expectation.qdot_mps[0]
     rows = []
-    for index in np.array_split(np.argsort(amplitude), bins):
+    for index in np.array_split(np.argsort(amplitude), _AMPLITUDE_BINS):
         weight = amplitude[index] ** 2
         mean = float(np.sum(weight * turn[index]) / np.sum(weight))
         # neighbours swing together for about 1/(zeta omega)
@@ -114,7 +115,7 @@ def strengths(
 ) -> dict[str, float]:
     """Standard deviations of each view's statistic from the mean of simulated recordings of the same model.
 
-    ``values`` and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
+    ``values`` (p,) and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
     """
     rng = np.random.default_rng(_SEED)
     count = len(model.belief.nuisances)

@@ -61,7 +61,7 @@ def judged(white: Whitened, rng: np.random.Generator) -> dict[str, float]:
 
 
 def autocorrelation(values: Floats, quiet: Mask) -> Floats:
-    """At lags 1 to :data:`LAGS`, of pairs that both lie between impulses."""
+    """At lags 1 to :data:`LAGS`, (LAGS,), of pairs of values (m,) that both lie between impulses."""
     still = np.where(quiet, values, 0.0)
     power = float(still @ still) / int(quiet.sum())
     pairs = [max(int(np.sum(quiet[lag:] & quiet[:-lag])), 1) for lag in range(1, LAGS + 1)]

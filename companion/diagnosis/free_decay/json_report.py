@@ -200,10 +200,7 @@ def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[s
     at_end = []
     for k, record in enumerate(model.recordings):
         modes = model.modes(diagnosis.final.values[None, :], k)
-        row: dict[str, Any] = {
-            "recording": record.name,
-            "frequency_hz": (modes.omega_radps[0, -1] / 6.283185307).tolist(),
-        }
+        row: dict[str, Any] = {"recording": record.name, "frequency_hz": (modes.omega_radps[0, -1] / math.tau).tolist()}
         row["damping"] = modes.zeta[0, -1].tolist()
         for name, scale in scales.items():
             row[name] = float(scale.mean + scale.rms * record.channels[name][-1])
@@ -211,7 +208,7 @@ def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[s
     swept = np.concatenate(
         [model.modes(diagnosis.final.values[None, :], k).omega_radps[0, :, 0] for k in range(len(model.recordings))]
     )
-    return {"first_from_hz": float(swept.min() / 6.283185307), "first_to_hz": float(swept.max() / 6.283185307),
+    return {"first_from_hz": float(swept.min() / math.tau), "first_to_hz": float(swept.max() / math.tau),
             "in_the_last_decay": at_end}  # fmt: skip
 
 

@@ -44,7 +44,7 @@ class FreeDecayLikelihood:
         return np.asarray(offered[int(np.nanargmax(heights))])
 
     def scores(self, values: Floats) -> Scores[FreeDecayModel]:
-        """Log likelihood, gradient and information of innovations e with variance s.
+        """Log likelihood, gradient (p,) and information (p, p) of innovations e with variance s.
 
         With de, ds by a parameter: g = -sum (de e / s + ds (1 - e^2 / s) / 2s), J = sum (de de / s + ds ds / 2s^2).
         """

@@ -39,12 +39,12 @@ class FreeDecayModel:
 
     @property
     def centres(self) -> Floats:
-        """Prior means."""
+        """Prior means, (p,)."""
         return np.array([entry.centre for entry in self.parameters])
 
     @property
     def sigmas(self) -> Floats:
-        """Prior standard deviations."""
+        """Prior standard deviations, (p,)."""
         return np.array([entry.sigma for entry in self.parameters])
 
     def index(self, key: str) -> int:
@@ -62,7 +62,7 @@ class FreeDecayModel:
         return list(range(first, first + _NUISANCES))
 
     def values_from(self, keys: Sequence[str], values: Floats) -> Floats:
-        """A vector of this model with what another one, of parameters ``keys``, has in common with it."""
+        """A vector (p,) of this model with what another one, of parameters ``keys``, has in common with it."""
         known_values = dict(zip(keys, values.tolist(), strict=True))
         return np.array([known_values.get(entry.key, entry.centre) for entry in self.parameters])
 

@@ -179,13 +179,13 @@ def _coarse(
 
 
 def leakage_of(impulse: Floats) -> Floats:
-    """Rms that the edge of the band makes of impulses in the samples around them."""
+    """Rms (m,) that the edge of the band makes of impulses (m,) in the samples around them."""
     lags = np.arange(-_ECHO, _ECHO + 1)
     return np.asarray(np.sqrt(np.convolve(impulse**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))
 
 
 def quiet_samples(record: FreeDecay, ahead: int) -> Bools:
-    """Samples before which no impulse came within ``ahead`` steps."""
+    """Samples (m,) before which no impulse came within ``ahead`` steps."""
     loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
     near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
     return np.asarray(~near)

@@ -80,15 +80,13 @@ class HeldOutSpeed:
 class FlutterDiagnosis:
     """Outcome: ``tracks`` with their label doubts, the engine's outcome, held-out speeds and the onset.
 
-    ``rows`` are what was fitted, ``mean_mps`` and ``rms_mps`` the airspeed's unit.
+    ``rows`` are what was fitted.
     """
 
     outcome: Diagnosis[RegressionTerm, RegressionModel]
     tracks: tuple[VibrationTrack, ...]
     rows: tuple[Row, ...]
     names: tuple[str, ...]
-    mean_mps: float
-    rms_mps: float
     held_out: tuple[HeldOutSpeed, ...]
     onset: Onset | None
     doubts: tuple[LabelDoubt, ...]
@@ -116,7 +114,7 @@ def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Pr
     outcome = diagnose(regressions, most, progress)
     held_out = _held_out(regressions, outcome.final, rows, names) if len(set(speeds)) > 1 else ()
     onset = _onset(rows)
-    return FlutterDiagnosis(outcome, tuple(tracks), tuple(rows), names, mean, rms, held_out, onset, doubts)
+    return FlutterDiagnosis(outcome, tuple(tracks), tuple(rows), names, held_out, onset, doubts)
 
 
 def _rows(number: int, entry: VibrationTrack) -> list[Row]:

@@ -94,7 +94,7 @@ def has_changed(mode: ModeOverRuns) -> bool:
 
 
 def disagreement(values: Floats, sigmas: Floats) -> float:
-    """Distance of values with these sigmas from one common value, as a standard normal (one-sided)."""
+    """Distance of values (n,) with these sigmas from one common value, as a standard normal (one-sided)."""
     if len(values) < 2:
         return 0.0
     weight = 1.0 / sigmas**2

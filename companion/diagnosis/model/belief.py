@@ -56,7 +56,7 @@ class Belief:
         return np.array([entry.sigma for entry in self.nuisances])
 
     def named(self, deviations: Sequence[float] | Floats, recording: int = 0) -> dict[str, float]:
-        """Deviations by key as one recording has them: its own, and those that all share."""
+        """Deviations (p,) by key as one recording has them: its own, and those that all share."""
         deviations_by_key = {}
         for entry, value in zip(self.nuisances, deviations, strict=True):
             key, _, owner = entry.key.partition(_RECORDING_MARK)

@@ -382,5 +382,5 @@ def _kind(base: type[Effect], title: str, **constants: object) -> type[Effect]:
 
 
 def across(t_s: Floats) -> Floats:
-    """Time from -1 to 1 across the recording."""
+    """Time (m,) from -1 to 1 across the recording."""
     return np.asarray(2.0 * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9) - 1.0)

@@ -100,7 +100,7 @@ class Spectra:
         return self._responses[1]
 
     def delay_s(self, effects: Sequence[Effect], deviation: Mapping[str, float], at_hz: float, t_s: Floats) -> float:
-        """Phase delay of the accelerometers at one frequency beyond their believed filters, mean of all and of time."""
+        """Accelerometers' phase delay at one frequency beyond their believed filters, mean of all and of t_s (m,)."""
         omega, delays = 2.0 * np.pi * at_hz, []
         for side in self.sides:
             station, phase, late_s = STATIONS[side], 0.0, deviation.get(f"{side.name.lower()}.delay_s", 0.0)

@@ -38,7 +38,7 @@ def toe_regressors(
 
 
 def of_unit_rms(values: Floats) -> Floats | None:
-    """A regressor by its rms; None where it is nothing."""
+    """A regressor (m,) by its rms; None where it is nothing."""
     size = float(np.sqrt(np.mean(values**2)))
     return values / size if size > 1e-12 else None
 

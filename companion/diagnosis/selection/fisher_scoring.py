@@ -58,7 +58,7 @@ class LikelihoodModel(Protocol[State]):
         """Log likelihood, gradient and information at a vector (p,)."""
 
     def log_likelihood(self, values: Floats, near: State) -> float:
-        """Log likelihood at a vector near one whose scores are known, which may lend what is dear to compute.
+        """Log likelihood at a vector (p,) near one whose scores are known, which may lend what is dear to compute.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class NormalPrior:
         self.sigmas: Floats = np.array([entry.sigma for entry in parameters])
 
     def log_density(self, values: Floats) -> float:
-        """Log density of a vector, up to a constant."""
+        """Log density of a vector (p,), up to a constant."""
         return -0.5 * float(np.sum(((values - self.centres) / self.sigmas) ** 2))
 
     def added(self, values: Floats, scores: Scores[State]) -> tuple[Floats, Floats]:

@@ -60,7 +60,7 @@ def normal_score_of_student(z: float, freedom: int) -> float:
 
 
 def strength(real: float, drawn: Floats) -> float:
-    """Standard deviations from what is drawn by chance; of a skew statistic as many as its chance is worth."""
+    """Standard deviations from what is drawn by chance, (n,); of a skew statistic as many as its chance is worth."""
     spread = float(np.std(drawn))
     skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
     return normal_score_of_gamma(float(real - np.mean(drawn)) / spread, skewness)

@@ -27,7 +27,7 @@ from companion.records import Bools, Floats
 Indices = npt.NDArray[np.int64]
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance."""
-_ROUNDS = 60  # scoring steps: noises begin far from their values
+_SCORING_STEPS = 60  # at most: noises begin far from their values
 _NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way
 _DRAWS = 400  # which tell a statistic's spread to 4 %
 _SEED = 20250104  # convention: any fixed number
@@ -152,12 +152,12 @@ class RegressionModel:
         )
 
     def log_likelihood(self, values: Floats, near: RegressionModel | None = None) -> float:
-        """Log likelihood of the rows that count."""
+        """Log likelihood at a vector (p,) of the rows that count."""
         del near
         return float(sum(self.log_density(values, k)[use].sum() for k, use in enumerate(self.use)))
 
     def scores(self, values: Floats) -> Scores[RegressionModel]:
-        """Log likelihood, gradient and information."""
+        """Log likelihood, gradient (p,) and information (p, p)."""
         count = len(values)
         gradient, information = np.zeros(count), np.zeros((count, count))
         for k, use in enumerate(self.use):
@@ -171,7 +171,7 @@ class RegressionModel:
         return Scores(self.log_likelihood(values), gradient, information, self)
 
     def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
-        """Rows of every response as the model makes them by chance."""
+        """Rows (m,) of every response as the model makes them by chance at a vector (p,)."""
         return [
             self.predicted(values, k) + self.noise(values, k) * rng.standard_normal(len(entry.values))
             for k, entry in enumerate(self.responses)
@@ -268,7 +268,7 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
     def _climb(self, model: RegressionModel, near: RegressionFit | None) -> RegressionFit:
         before = {} if near is None else dict(zip(near.keys, near.values.tolist(), strict=True))
         start = np.array([before.get(entry.key, entry.centre) for entry in model.parameters])
-        return climb(model, model.terms, model.blocks, start, _ROUNDS)
+        return climb(model, model.terms, model.blocks, start, _SCORING_STEPS)
 
 
 def _statistics(white: Floats) -> Floats:

@@ -125,6 +125,8 @@ def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) 
 def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) -> Screening[TermT]:
     """Candidates by strength; a term that was tried at several places or sides counts with its strongest, and pays.
 
+    ``score`` (d,) and ``information`` (d, d) have the tested terms' parameters one after the other.
+
     A tail that one place has by chance is N times as likely at the best of N places.
     """
     unit = np.concatenate([entry.sigmas for entry in tested]) if tested else np.zeros(0)

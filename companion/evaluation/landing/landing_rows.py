@@ -123,7 +123,7 @@ def figures(rows: Sequence[Row]) -> LandingFigures:
 
 
 def spread(values: Floats, digits: int = 1) -> str:
-    """Median of some values and, of more than one, their extremes, in words of the table."""
+    """Median of some values (n,) and, of more than one, their extremes, in words of the table."""
     if not len(values):
         return "none"
     low, middle, high = (float(value) for value in np.percentile(values, [0, 50, 100]))

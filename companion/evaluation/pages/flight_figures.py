@@ -141,7 +141,7 @@ def triggers(log: FlightLog, text: str) -> Any:
 
 
 def blur_by_nearness(blur_px: Floats, range_m: Floats) -> dict[str, Floats]:
-    """Blur of plans made far from the scene, near it, and before any range: that of the flight past it differs."""
+    """Blur of plans (n,) made far from the scene, near it, and before any range: that of the flight past it differs."""
     ranged = np.isfinite(range_m)
     if not ranged.any():
         return {"no range yet": blur_px}

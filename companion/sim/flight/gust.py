@@ -46,7 +46,7 @@ class LoadSpectrum:
     gain_out: Floats
 
     def density(self, frequency_hz: Floats) -> Floats:
-        """Two-sided power spectral density per Hz at each frequency."""
+        """Two-sided power spectral density per Hz at each frequency, (k,)."""
         if not len(self.drift):
             return np.ones_like(frequency_hz)
         s = 2j * np.pi * np.asarray(frequency_hz)[:, None, None]

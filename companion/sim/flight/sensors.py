@@ -106,7 +106,7 @@ def drifting(t_s: Floats, time_s: float, columns: int, rng: np.random.Generator)
 
 
 def limited(values: Floats, sensor: Sensor) -> Floats:
-    """Saturate and quantise as the sensor's converter does, and zero the axes that it does not send."""
+    """Saturate and quantise values (n, 6) as the sensor's converter does, and zero the axes that it does not send."""
     ranges = np.repeat([sensor.accel_range_mps2, sensor.gyro_range_radps], 3)
     lsb = ranges / _WORD
     counts = np.clip(np.round(np.clip(values, -ranges, ranges) / lsb), -_WORD, _WORD - 1)
@@ -115,7 +115,7 @@ def limited(values: Floats, sensor: Sensor) -> Floats:
 
 
 def on_wire(values: Floats, sensor: Sensor) -> Floats:
-    """Round to the message's resolution: whole mg and mrad/s in the old messages."""
+    """Round values (n, 6) to the message's resolution: whole mg and mrad/s in the old messages."""
     if sensor.source.message not in _COARSE_MESSAGES:
         return values
     lsb = np.repeat([MILLI_G_MPS2, MILLI_RADPS], 3)
@@ -168,7 +168,7 @@ class RealSensor:
         return self.disturbance.felt(values, shown, period_ns * 1e-9, self.sensor, rng)
 
     def finish(self, raw: Floats, rate_hz: float) -> Floats:
-        """Saturate and quantise, low-pass as the airframe says, and round as the message does."""
+        """Saturate and quantise values (n, 6), low-pass as the airframe says, and round as the message does."""
         mounted = self.sensor
         calm = lowpassed(limited(raw, mounted), mounted.lowpass_accel_hz, mounted.lowpass_gyro_hz, rate_hz)
         return on_wire(calm, mounted)
@@ -202,7 +202,7 @@ class BackendImu:
         return on_wire(lowpassed(limited(self.raw, self.sensor), accel_hz, gyro_hz, BACKEND_HZ), self.sensor)
 
     def latest(self, tick_ns: Ints) -> Ints:
-        """Index of the newest sample at each instant."""
+        """Index (n,) of the newest sample at each instant."""
         return np.minimum(tick_ns // round(1e9 / BACKEND_HZ), len(self.raw) - 1)
 
 

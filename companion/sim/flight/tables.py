@@ -85,7 +85,7 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
 
 
 def reference_m(truth: TruthSeries, orientation: int) -> Floats:
-    """True distance along the cameras' axis: to the ground for a pair that looks down, else to a wall ahead."""
+    """True distance (n,) along the cameras' axis: to the ground for a pair that looks down, else to a wall ahead."""
     if orientation != Orientation.DOWN:
         return np.full(len(truth.t_boot_ns), _TARGET_AHEAD_M)
     # body z against NED down is the last entry of the rotation

@@ -123,7 +123,7 @@ class FlightTruth:
 
     @property
     def t_boot_ns(self) -> Ints:
-        """Times of the knots."""
+        """Times of the knots, (n,)."""
         return np.arange(len(self.knots), dtype=np.int64) * self.step_ns
 
     @property

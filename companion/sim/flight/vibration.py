@@ -32,7 +32,7 @@ class ShaftTurns:
 
     @staticmethod
     def table_s(duration_s: float) -> Floats:
-        """Instants for which :meth:`from_rate` wants rates."""
+        """Instants (n,) for which :meth:`from_rate` wants rates."""
         return np.arange(math.ceil(duration_s / _RATE_STEP_S) + 1) * np.float64(_RATE_STEP_S)
 
     def at(self, t_s: Floats) -> Floats:

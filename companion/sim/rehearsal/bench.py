@@ -111,7 +111,7 @@ def _angle(t_s: Floats, script: Sequence[Handling], motion: Gesture) -> tuple[Fl
 
 
 def tip_response(airframe: Airframe, place: Station, t_s: Floats, script: Sequence[Handling]) -> Floats:
-    """Vertical acceleration of a tip, m/s^2, down positive: taps fade at once, plucks ring at the wing's modes."""
+    """Vertical acceleration (n,) of a tip, m/s^2, down positive: taps fade at once, plucks ring at the wing's modes."""
     wing = airframe.wing
     side = {Station.LEFT: -1.0, Station.RIGHT: 1.0, Station.ROOT: 0.0}[place]
     total = np.zeros_like(t_s)

@@ -33,7 +33,7 @@ class PosedPair:
         return self.views(side, np.array([t_boot_ns], dtype=np.int64))[0]
 
     def views(self, side: Side, t_boot_ns: Ints) -> list[PosedCamera]:
-        """The same at many instants."""
+        """The same at many instants (n,)."""
         series = self.truth.series(t_boot_ns)
         views = []
         for i, t_ns in enumerate(t_boot_ns):

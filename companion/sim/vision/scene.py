@@ -127,7 +127,7 @@ class Scene:
         return nearest
 
     def visible(self, eye_m: Floats, cones: Sequence[Cone]) -> list[Plane]:
-        """Surfaces in sight of an eye, in the order of painting: what has no end first, then from far to near.
+        """Surfaces in sight of an eye (3,), in the order of painting: what has no end first, then from far to near.
 
         What no cone touches is left out.
         """
@@ -191,7 +191,7 @@ class PosedCamera:
 
     @classmethod
     def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> PosedCamera:
-        """Carry a body pose into the world."""
+        """Carry a body pose into the world; ``body_from_ned`` (3, 3), ``position_ned_m`` (3,)."""
         centre = position_ned_m + body_from_ned.T @ pose.position_body_m
         return cls(camera, pose.camera_from_body @ body_from_ned, centre)
 

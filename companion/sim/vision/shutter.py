@@ -47,11 +47,11 @@ class Track:
         return np.asarray(flat.reshape(values.shape))
 
     def instants_s(self, count: int) -> Floats:
-        """Middles of ``count`` equal parts of the exposure, about its middle."""
+        """Middles (count,) of equal parts of the exposure, about its middle."""
         return ((np.arange(count) + 0.5) / count - 0.5) * self.exposure_ns * 1e-9
 
     def row_delay_s(self, rows: Floats) -> Floats:
-        """How much later than the middle row each row is exposed."""
+        """How much later than the middle row each row (n,) is exposed."""
         return (rows - 0.5 * (self.rows - 1)) * self.row_time_ns * 1e-9
 
 
@@ -72,7 +72,7 @@ class Window:
 
     @classmethod
     def around(cls, low: Floats, high: Floats, size_px: tuple[int, int]) -> Window | None:
-        """The smallest aligned window of the image that holds pixels ``low`` to ``high``; None when that is empty."""
+        """The smallest aligned window that holds pixels ``low`` to ``high``, both (2,); None when that is empty."""
         start = np.maximum(np.floor(low / STEP), 0).astype(int) * STEP
         limit = -(-np.array(size_px) // STEP) * STEP
         stop = np.minimum(np.ceil((high + 1.0) / STEP).astype(int) * STEP, limit)
@@ -137,7 +137,7 @@ class PixelGrid:
         return corners_m
 
     def window_of_rays(self, low: Floats, high: Floats) -> Window | None:
-        """Window of the pixels whose rays (x, y, z = 1) lie between ``low`` and ``high``; None when out of sight."""
+        """Window of pixels whose rays (x, y, z = 1) lie between ``low`` and ``high``, (2,); None when out of sight."""
         low, high = np.maximum(low, self._reach[0]), np.minimum(high, self._reach[1])
         if np.any(high <= low):
             return None
@@ -159,7 +159,7 @@ class PixelGrid:
         return window.height // factor + 2 * margin_of(factor), window.width // factor + 2 * margin_of(factor)
 
     def cell_rows(self, window: Window, factor: int) -> Floats:
-        """Pixel row of each row of cells."""
+        """Pixel row of each row of cells, (rows,)."""
         count = self.cell_shape(window, factor)[0]
         return np.asarray(
             window.row + (np.arange(count) - margin_of(factor)) * factor + 0.5 * (factor - 1), dtype=np.float64
@@ -181,7 +181,7 @@ class PixelGrid:
         return spans_nodes[0], spans_nodes[1]
 
     def window_of_nodes(self, visible_nodes: Bools, nodes: tuple[slice, slice], window: Window) -> Window | None:
-        """The part of a window around those of its ``nodes`` that are ``visible_nodes``; None where there is none."""
+        """The part of a window around ``nodes`` that are ``visible_nodes`` (rows, columns); None where none is."""
         if visible_nodes.all():
             return window
         rows, columns = (np.flatnonzero(visible_nodes.any(axis=axis)) for axis in (1, 0))
@@ -196,7 +196,7 @@ class PixelGrid:
     def spread_nodes(
         self, values: Floats, nodes: tuple[slice, slice], window: Window, factor: int
     ) -> Image32 | np.float32:
-        """Values at ``nodes`` spread over the cells of a window; one number where they hardly differ."""
+        """Values (rows, columns) at ``nodes`` spread over a window's cells; one number where they hardly differ."""
         low, high = float(values.min()), float(values.max())
         if high - low < _EVEN:
             return np.float32(0.5 * (low + high))

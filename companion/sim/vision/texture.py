@@ -108,7 +108,7 @@ def octaves_of(seed: int, surface: int) -> tuple[Octave, ...]:
 
 
 def weight(cycles_per_px: Floats, width_px: int) -> Floats:
-    """Weight of an octave that has so many cycles per pixel: lens and pixel response, nothing unresolved or unseen."""
+    """Weight (n,) of an octave with so many cycles per pixel: lens and pixel response, nothing unresolved or unseen."""
     logs, table = _weight_table(width_px)
     return np.interp(np.log2(cycles_per_px), logs, table)
 

@@ -76,7 +76,7 @@ class StationReader:
     def in_time(
         self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
     ) -> Iterator[ImuBatch | ClockRestart]:
-        """Give the batches of samples in which nothing is odd but perhaps their time."""
+        """Give the batches of samples, ``values`` (n, 6), in which nothing is odd but perhaps their time."""
         verdict = self._reset_detector.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
             yield self._batch(t_ns, values, axes, received_host_ns)

@@ -85,7 +85,7 @@ class ClockResetDetector:
     def check(
         self, source: StampHistory, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS
     ) -> StampVerdict:
-        """Judge the stamps of one batch, in arrival order."""
+        """Judge the stamps (n,) of one batch, in arrival order."""
         stamps = t_ns.tolist()
         if self.onward(source, min(stamps), max(stamps), received_host_ns):
             return _ALL_GOOD

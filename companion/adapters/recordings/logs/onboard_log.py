@@ -143,7 +143,7 @@ def vehicle_states(t_us: Ints, **columns: Any) -> Iterator[tuple[int, VehicleSta
 
 
 def latest(table: dict[str, Any], time: str, field: str, t_us: Ints) -> Floats:
-    """Last logged value of a field before each instant; 0 before the first, and where the table is empty."""
+    """Last logged value (n,) of a field before each instant; 0 before the first, and where the table is empty."""
     if not table:
         return np.zeros(t_us.size)
     values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])

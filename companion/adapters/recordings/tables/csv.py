@@ -240,5 +240,5 @@ def _as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
 
 
 def nanoseconds(t_s: Floats) -> Ints:
-    """Seconds as whole nanoseconds."""
+    """Seconds (n,) as whole nanoseconds."""
     return np.rint(t_s * 1e9).astype(np.int64)

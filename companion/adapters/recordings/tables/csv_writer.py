@@ -54,7 +54,7 @@ def streams_of(batches: Iterable[ImuBatch]) -> list[InertialStream]:
 
 
 def write_table(path: Path, columns: dict[str, Floats]) -> None:
-    """Write columns of equal length; numbers are written with their shortest exact form."""
+    """Write columns of equal length (n,); numbers are written with their shortest exact form."""
     table = np.column_stack(list(columns.values()))
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(columns) + "\n")

@@ -18,7 +18,7 @@ from companion.records import Floats
 def text_columns(
     path: Path, mapping: TableMapping, layout: TextLayout, may_be_missing: frozenset[str]
 ) -> dict[str, Floats]:
-    """Columns by the mapping's names; an optional one that the file has not is left out.
+    """Columns (n,) by the mapping's names; an optional one that the file has not is left out.
 
     Raises
     ------

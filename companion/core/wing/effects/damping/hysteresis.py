@@ -38,7 +38,7 @@ class Hysteresis(Effect):
         return from_halves(motion, self.share * stiffness * (halves(motion.offset_m) - self._held(motion)))
 
     def remember(self, motion: ModalMotion) -> Floats:
-        """How far each half's spring is stretched, and where that half is."""
+        """How far each half's spring is stretched, and where that half is, (4, ...) m."""
         w = halves(motion.offset_m)
         return np.concatenate([self._held(motion), w])
 

@@ -71,7 +71,7 @@ class State(NamedTuple):
     stretch: Array
 
 
-class Kept(NamedTuple):
+class Recorded(NamedTuple):
     """The recording, filled row by row: left and right (m, 2, n), the further oscillator (m, n)."""
 
     position: Array
@@ -82,12 +82,12 @@ class Kept(NamedTuple):
 
 def start(n: int) -> State:
     """At rest."""
-    pair, one = (2, n), (n,)
-    return State(*(np.zeros(shape) for shape in (pair, pair, pair, one, one, one, pair, pair, pair)))
+    pair, single = (2, n), (n,)
+    return State(*(np.zeros(shape) for shape in (pair, pair, pair, single, single, single, pair, pair, pair)))
 
 
 def _advance(
-    laws: Any, state: Any, kept: Any, noise: Any, first: int, dt: float, begun_s: float, channels: Any, keep: int
+    laws: Any, state: Any, recorded: Any, noise: Any, first: int, dt: float, begun_s: float, channels: Any, keep: int
 ) -> None:
     """Take ``len(noise)`` steps from number ``first``; ``noise`` (b, 3, n), ``channels`` (b, 2): roller, airspeed."""
     for i in range(noise.shape[2]):
@@ -141,12 +141,12 @@ def _advance(
             a2 = f2 - c2 * v2
             row = (first + k) // keep
             if (first + k) % keep == keep - 1:
-                kept.position[row, 0, i], kept.position[row, 1, i] = q_s - q_a, q_s + q_a
-                kept.speed[row, 0, i], kept.speed[row, 1, i] = v_s - v_a, v_s + v_a
-                kept.further[row, i] = q2
+                recorded.position[row, 0, i], recorded.position[row, 1, i] = q_s - q_a, q_s + q_a
+                recorded.speed[row, 0, i], recorded.speed[row, 1, i] = v_s - v_a, v_s + v_a
+                recorded.further[row, i] = q2
             # samples are means over a period, as an accelerometer's own filter makes them
-            kept.up[row, 0, i] += (a_s - a_a + laws.share2[i] * a2) / keep
-            kept.up[row, 1, i] += (a_s + a_a + laws.share2[i] * a2) / keep
+            recorded.up[row, 0, i] += (a_s - a_a + laws.share2[i] * a2) / keep
+            recorded.up[row, 1, i] += (a_s + a_a + laws.share2[i] * a2) / keep
         state.q[0, i], state.q[1, i], state.v[0, i], state.v[1, i] = q_s, q_a, v_s, v_a
         state.a[0, i], state.a[1, i], state.q2[i], state.v2[i], state.a2[i] = a_s, a_a, q2, v2, a2
         state.load[0, i], state.load[1, i], state.load2[0, i], state.load2[1, i] = load_s, load_a, late_s, late_a

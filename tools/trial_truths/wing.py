@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.trials.steps import Kept, Laws, advance, start
+from tools.trial_truths.steps import Laws, Recorded, advance, start
 
 Array = npt.NDArray[np.float64]
 STEP_HZ = 4000
@@ -92,14 +92,14 @@ def integrate(
     keep = STEP_HZ // SAMPLE_HZ
     total = round((duration_s + _RUN_IN_S) * STEP_HZ) // keep * keep
     m = total // keep
-    kept = Kept(*(np.zeros(shape) for shape in ((m, 2, n), (m, 2, n), (m, 2, n), (m, n))))
+    recorded = Recorded(*(np.zeros(shape) for shape in ((m, 2, n), (m, 2, n), (m, 2, n), (m, n))))
     state = start(n)
     for first in range(0, total, _BLOCK):
         steps = np.arange(first, min(first + _BLOCK, total))
         noise = rng.standard_normal((_BLOCK, 3, n))[: len(steps)]
         channels = np.array([(roller(t), airspeed(t)) for t in steps * dt - _RUN_IN_S])
-        advance(laws, state, kept, noise, first, dt, -_RUN_IN_S, channels, keep)
-    position, speed, up, further = kept
+        advance(laws, state, recorded, noise, first, dt, -_RUN_IN_S, channels, keep)
+    position, speed, up, further = recorded
     # a close mode bends the wing like the first, a second one 3.4 times as steeply: their slopes move the cameras too
     steep = np.where(close, 1.0, np.where(of("second-mode") > 0, 3.4, 0.0))
     position += (steep * share2 * further)[:, None]

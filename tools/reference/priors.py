@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.ndimage
 
-from sitl_tests.reference.observer import MOMENT, REFERENCE_STEP_S, Layout
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
-from sitl_tests.reference.views import Reduced, push_ratio
+from tools.reference.observer import MOMENT, REFERENCE_STEP_S, Layout
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.views import Reduced, push_ratio
 
 Floats = npt.NDArray[np.float64]
 _E = (0.0, 1.0, -1.0)
@@ -55,8 +55,8 @@ def constants_of(spec: TruthSpec) -> Constants:
         listed += [(f"{place}.kp", sensor.gyro_scale_sigma)]
         listed += [(f"{place}.m{axis}", sensor.misalignment_sigma_rad) for axis in "xyz"]
         listed += [(f"{place}.tau", sensor.time_offset_sigma_s)]
-    kept = [(name, sigma) for name, sigma in listed if sigma > 0]
-    return Constants(tuple(name for name, _ in kept), np.array([sigma for _, sigma in kept]))
+    uncertain = [(name, sigma) for name, sigma in listed if sigma > 0]
+    return Constants(tuple(name for name, _ in uncertain), np.array([sigma for _, sigma in uncertain]))
 
 
 class Sensitivity:
@@ -196,11 +196,11 @@ class Sensitivity:
         place, c, e = _PLACES[station], np.cos(self._trim_rad()), _E[station]
         tip, root = self.means.mean[station][k], self._smooth_root[k]
         A = self._trim_rad() + self._bend(station, "q", basis) + self._turn_by(station, basis, theta)
-        seen = e * np.tan(A) * tip[:, 2]
+        lateral = e * np.tan(A) * tip[:, 2]
         gain = e * tip[:, 2] / np.cos(A) ** 2
         self._put(out, at, "trim", gain * self.spec.symmetric.slope_radpm)
-        self._put(out, at, f"{place}.ky", seen + root[:, 1])
-        self._put(out, at, f"{place}.kz", -seen)  # the slope is y over z
+        self._put(out, at, f"{place}.ky", lateral + root[:, 1])
+        self._put(out, at, f"{place}.kz", -lateral)  # the slope is y over z
         self._put(out, at, f"{place}.mx", e * gain)
         self._put(out, at, f"{place}.mz", -root[:, 0])
         self._put(out, at, f"{place}.tau", gain * self._bend(station, "v", basis))

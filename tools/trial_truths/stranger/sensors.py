@@ -8,9 +8,9 @@ import numpy as np
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from sitl_tests.trials.cases import Hidden, Tables
-from sitl_tests.trials.stranger.beam import SEMISPAN_M, Array
-from sitl_tests.trials.stranger.flight import GRAVITY, STEP_HZ, Motion
+from tools.trial_truths.cases import Hidden, Tables
+from tools.trial_truths.stranger.beam import SEMISPAN_M, Array
+from tools.trial_truths.stranger.flight import GRAVITY, STEP_HZ, Motion
 
 NODE_HZ, ROOT_HZ, CAMERA_HZ = 800.0, 400.0, 9.0
 NODE_CORNER_HZ, ROOT_CORNER_HZ = 188.0, 60.0
@@ -35,7 +35,7 @@ def record(motion: Motion, hidden: Hidden, snr_db: float, duration_s: float, rng
     for side in range(2):
         late_s = _late(t_s, side, hidden, duration_s) + DELAY_SIGMA_S * rng.standard_normal()
         force[:, side] = _read(CubicSpline(motion.t_s, shown[side])(t_s - late_s), t_s, side, hidden, density, rng)
-    root = _root(motion, effects, rigid, duration_s, rng)
+    root = _root(motion, rigid, duration_s, rng)
     at_s = np.arange(0.2, duration_s - 0.2, 1.0 / CAMERA_HZ) + rng.uniform(0.0, 0.05)
     reference_m = 42.0 + 18.0 * np.sin(2.0 * np.pi * at_s / 33.0 + extra.get("channel_rad", 0.0))
     reference_m += 8.0 * np.sin(2.0 * np.pi * at_s / 11.0)
@@ -110,9 +110,7 @@ def _stamped(t_s: Array, effects: Mapping[str, float], rng: np.random.Generator)
     return np.sort(t_s[rows] + 4e-4 * rng.uniform(-1.0, 1.0, int(rows.sum()))), rows
 
 
-def _root(
-    motion: Motion, effects: Mapping[str, float], rigid: Array, duration_s: float, rng: np.random.Generator
-) -> dict[str, tuple[Array, Array]]:
+def _root(motion: Motion, rigid: Array, duration_s: float, rng: np.random.Generator) -> dict[str, tuple[Array, Array]]:
     """The autopilot's sensor: z and y (m/s^2), p (rad/s), low-passed."""
     t_s = np.arange(round(duration_s * ROOT_HZ)) / ROOT_HZ
     top, bottom = signal.butter(2, ROOT_CORNER_HZ, fs=STEP_HZ)
@@ -131,8 +129,9 @@ def _ranges(motion: Motion, hidden: Hidden, at_s: Array, reference_m: Array, rng
     effects = hidden.effects
     turned = _mounted(motion.slope, hidden)
     jitter_s = np.sqrt(max(effects.get("exposure-jitter", 0.0), 0.0)) * 1e-6
-    seen = at_s + effects.get("exposure-delay", 0.0) + np.sqrt(2.0) * jitter_s * rng.standard_normal((2, len(at_s)))
-    slope = np.stack([CubicSpline(motion.t_s, turned[side])(seen[side]) for side in range(2)])
+    wander_s = np.sqrt(2.0) * jitter_s * rng.standard_normal((2, len(at_s)))
+    exposed_s = at_s + effects.get("exposure-delay", 0.0) + wander_s
+    slope = np.stack([CubicSpline(motion.t_s, turned[side])(exposed_s[side]) for side in range(2)])
     across = at_s / at_s[-1] - 0.5
     toe = effects.get("convergence-offset", 0.0) + TOE_SIGMA_RAD * rng.standard_normal()
     toe = (

@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from sitl_tests.reference.discretise import Discrete, averages, stacked
-from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
-from sitl_tests.reference.truth import frequency_factor
+from tools.reference.discretise import Discrete, averages, stacked
+from tools.reference.load import chain, intensity
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.truth import frequency_factor
 
 Floats = npt.NDArray[np.float64]
 SAMPLES_PER_STEP = 4
@@ -166,12 +166,12 @@ def _reduction(layout: Layout) -> Floats:
     outputs = 3 * modes + 2
     rows = np.zeros((layout.basis_size, SAMPLES_PER_STEP * outputs))
     for sample in range(SAMPLES_PER_STEP):
-        part = rows[:, sample * outputs : (sample + 1) * outputs]
-        part[: 3 * modes, : 3 * modes] = np.eye(3 * modes) * MEAN[sample]
-        part[3 * modes : 4 * modes, 2 * modes : 3 * modes] = np.eye(modes) * MOMENT[sample]
-        part[layout.basis("p"), 3 * modes] = MEAN[sample]
-        part[layout.basis("alpha"), 3 * modes + 1] = MEAN[sample]
-        part[layout.basis("alpha1"), 3 * modes + 1] = MOMENT[sample]
+        block = rows[:, sample * outputs : (sample + 1) * outputs]
+        block[: 3 * modes, : 3 * modes] = np.eye(3 * modes) * MEAN[sample]
+        block[3 * modes : 4 * modes, 2 * modes : 3 * modes] = np.eye(modes) * MOMENT[sample]
+        block[layout.basis("p"), 3 * modes] = MEAN[sample]
+        block[layout.basis("alpha"), 3 * modes + 1] = MEAN[sample]
+        block[layout.basis("alpha1"), 3 * modes + 1] = MOMENT[sample]
     return rows
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl_tests.trials.cases import SEEN, Hidden, Tables, participation
-from sitl_tests.trials.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
-from sitl_tests.trials.stranger.sensors import record
+from tools.trial_truths.cases import Hidden, Tables
+from tools.trial_truths.stranger.flight import RMS_SIGMA, SPEED_RMS_MPS, drawn, fly, mixing_ratio
+from tools.trial_truths.stranger.sensors import record
+from tools.trial_truths.strengths import IN_SAMPLES, participation
 
 SIGMA: dict[str, float] = {
     "frequency-shift": 0.0073,
@@ -130,8 +131,8 @@ def hide(
     extra = _extra(rng)
     for name in names:
         sign = 1.0 if name in ONE_WAY else float(rng.choice((-1.0, 1.0)))
-        if name in SEEN:
-            effects[name] = float(rng.uniform(*(SATURATED if name == "saturation" else SEEN[name])))
+        if name in IN_SAMPLES:
+            effects[name] = float(rng.uniform(*(SATURATED if name == "saturation" else IN_SAMPLES[name])))
         elif name == "close-mode":
             effects[name] = participation(strength, extra["close-mode.ratio"], rng)
         elif name in OUTSIDE:

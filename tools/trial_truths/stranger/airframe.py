@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sitl_tests.trials.stranger import flight, sensors
-from sitl_tests.trials.stranger.beam import modes
+from tools.trial_truths.stranger import flight, sensors
+from tools.trial_truths.stranger.beam import modes
 
 _FAMILIES = ("symmetric", "antisymmetric")
 

@@ -14,7 +14,7 @@ from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame
 from companion.core.stereo.epipolar_states import ExtrinsicsPrior, FastBelief
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
-from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
+from tools.bench.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
 
 # a rigid bar holds EuRoC's cameras; its calibration says nothing of its own sigmas, this is usual for a good one
 _BASELINE_RAD = 0.0005
@@ -55,15 +55,15 @@ def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str
     epipolar_from_camera = epipolar_frame(rig) @ rig.right.rest.camera_from_body.T
     running = EpipolarFilter(rig, prior)
     errors, sigmas = [], []
-    for pair, mine in zip(pairs, used, strict=True):
+    for pair, in_fit in zip(pairs, used, strict=True):
         fast = np.zeros(3) if way == "epipolar" else pair.fast_known_rad
         fast_sigma = _UNKNOWN_FAST_RAD if way == "epipolar" else FAST_SIGMA_RAD
         correction, sigma = np.zeros(3), np.full(3, np.hypot(prior.rotation_rad, FAST_SIGMA_RAD))
         if way != "modal":
-            one = EpipolarFilter(rig, prior) if way == "epipolar" else running
-            rays = rays_of(rig, pair.matches, fast, mine)
-            sigma_rad = pair.matches.sigma_px[mine] / rig.right.lens.focal_px
-            update = one.update(rays, sigma_rad, FastBelief(fast_sigma**2 * np.eye(3)), pair.t_ns)
+            estimator = EpipolarFilter(rig, prior) if way == "epipolar" else running
+            rays = rays_of(rig, pair.matches, fast, in_fit)
+            sigma_rad = pair.matches.sigma_px[in_fit] / rig.right.lens.focal_px
+            update = estimator.update(rays, sigma_rad, FastBelief(fast_sigma**2 * np.eye(3)), pair.t_ns)
             assert not isinstance(update, str), update
             correction, sigma = update.total_rad, np.sqrt(np.diag(update.total_covariance))
         believed = exp_rotation(epipolar_from_camera.T @ correction) @ exp_rotation(fast)
@@ -88,7 +88,7 @@ def own_design(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> tuple[np.ndarr
     return left[:, 1] - right[:, 1], design
 
 
-def kept(parallax: np.ndarray) -> np.ndarray:
+def inliers(parallax: np.ndarray) -> np.ndarray:
     """Matches that are no blunders: within four robust sigmas of the rest."""
     off = np.abs(parallax - np.median(parallax))
     return off < 4 * 1.4826 * np.median(off)
@@ -96,9 +96,9 @@ def kept(parallax: np.ndarray) -> np.ndarray:
 
 def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], belief: ExtrinsicsPrior) -> np.ndarray:
     """Constant relative rotation (3,) by which the published calibration is off: all held-out matches together."""
-    rows = [own_design(rig, pair, ~mine) for pair, mine in zip(pairs, used, strict=True)]
+    rows = [own_design(rig, pair, ~in_fit) for pair, in_fit in zip(pairs, used, strict=True)]
     parallax, design = np.concatenate([p for p, _ in rows]), np.concatenate([h for _, h in rows])
-    good = kept(parallax)
+    good = inliers(parallax)
     prior = np.diag(1.0 / np.sqrt(belief.variances()))
     sigma = 1.4826 * np.median(np.abs(parallax[good] - np.median(parallax[good])))
     stacked = np.vstack([design[good] / sigma, prior])
@@ -109,7 +109,7 @@ def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray],
 def noise_rad(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> float:
     """Sigma of one parallax about its own best fit, robust."""
     parallax, design = own_design(rig, pair, chosen)
-    good = kept(parallax)
+    good = inliers(parallax)
     fitted, *_ = np.linalg.lstsq(design[good][:, :3], parallax[good], rcond=None)
     left_over = parallax[good] - design[good][:, :3] @ fitted
     return float(1.4826 * np.median(np.abs(left_over)))
@@ -127,9 +127,9 @@ def cramer_rao(
     walk[:3] = prior.walk_rad_rts**2
     information = np.diag(1.0 / prior.variances())
     bounds, last_ns = [], pairs[0].t_ns
-    for pair, mine in zip(pairs, used, strict=True):
-        parallax, design = own_design(rig, pair, mine)
-        design = design[kept(parallax)] / noise_rad(rig, pair, mine)
+    for pair, in_fit in zip(pairs, used, strict=True):
+        parallax, design = own_design(rig, pair, in_fit)
+        design = design[inliers(parallax)] / noise_rad(rig, pair, in_fit)
         if fast_sigma_rad is None:
             alone = np.linalg.inv(np.diag(1.0 / prior.variances()) + design.T @ design)
             bounds.append(np.sqrt(np.diag(alone)[:3]))

@@ -1,6 +1,6 @@
 """A wing as a stranger would simulate it, written as the laboratory's CSV folder. Imports nothing of Spanwise.
 
-Another hand's choices than ``sitl_tests/trials/wing.py``: linear modes are stepped exactly (zero-order hold), forces of
+Another hand's choices than ``tools.trial_truths.wing``: linear modes are stepped exactly (zero-order hold), forces of
 state by Runge and Kutta, the cameras are pinholes that see one point between them, samples are means over their period,
 and the noise is 20 dB below the tip acceleration in the band up to 40 Hz, whatever the airframe file says of sensors.
 """
@@ -109,10 +109,10 @@ def _modes(wing: dict[str, Any], rng: np.random.Generator) -> list[_Mode]:
             _drawn(rng, wing[name]["frequency_hz"]),
             _drawn(rng, wing[name]["damping"]),
             _drawn(rng, wing[name]["slope_factor_radpm"]),
-            share * rms,
+            fraction * rms,
             side,
         )
-        for name, (side, share) in shapes.items()
+        for name, (side, fraction) in shapes.items()
         if name in wing
     ]
 
@@ -120,8 +120,8 @@ def _modes(wing: dict[str, Any], rng: np.random.Generator) -> list[_Mode]:
 def _gust(rng: np.random.Generator, count: int, dt: float, corners_hz: tuple[float, ...]) -> Array:
     load = rng.standard_normal(count)
     for corner_hz in corners_hz:
-        kept = math.exp(-2.0 * math.pi * corner_hz * dt)
-        top, bottom = np.array([1.0 - kept]), np.array([1.0, -kept])
+        pole = math.exp(-2.0 * math.pi * corner_hz * dt)
+        top, bottom = np.array([1.0 - pole]), np.array([1.0, -pole])
         load = np.asarray(signal.lfilter(top, bottom, load), dtype=np.float64)
     return load
 
@@ -144,11 +144,11 @@ def _stepped(mode: _Mode, load: Array, dt: float, flight: Flight) -> tuple[Array
     stiff = np.full(len(load), omega**2)
     stiff[round((_WARM_UP_S + 0.5 * flight.duration_s) / dt) :] *= (1.0 + flight.jump) ** 2
     q = v = 0.0
-    found = np.empty((2, len(load)))
+    motion = np.empty((2, len(load)))
     half = 0.5 * dt
     for i, (f, k) in enumerate(zip(load.tolist(), stiff.tolist(), strict=True)):
         a1 = f - k * q - damping * v + law(q, v)
-        found[0, i], found[1, i] = q, a1
+        motion[0, i], motion[1, i] = q, a1
         v2, q2 = v + half * a1, q + half * v
         a2 = f - k * q2 - damping * v2 + law(q2, v2)
         v3, q3 = v + half * a2, q + half * v2
@@ -157,7 +157,7 @@ def _stepped(mode: _Mode, load: Array, dt: float, flight: Flight) -> tuple[Array
         a4 = f - k * q4 - damping * v4 + law(q4, v4)
         q += dt / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v += dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return found[0], found[1]
+    return motion[0], motion[1]
 
 
 def _write_accel(

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.observer import REFERENCE_STEP_S, Dynamics
-from sitl_tests.reference.priors import Sensitivity
-from sitl_tests.reference.spec import GRAVITY_MPS2
-from sitl_tests.reference.views import Views
+from tools.reference.observer import REFERENCE_STEP_S, Dynamics
+from tools.reference.priors import Sensitivity
+from tools.reference.spec import GRAVITY_MPS2
+from tools.reference.views import Views
 
 Floats = npt.NDArray[np.float64]
 EVERY = 25  # steps between records of what is known of the constants
@@ -65,13 +65,14 @@ def filtered(
     closed, gain = np.empty((steps, seeds, n, n)), np.empty((steps, seeds, n, n))
     pull = np.empty((steps, seeds, n, 1 + c))
     information, vector = np.empty((steps // EVERY + 1, seeds, c, c)), np.empty((steps // EVERY + 1, seeds, c))
-    known, said = np.broadcast_to(np.diag(errors.constants.sigma**-2.0), (seeds, c, c)).copy(), np.zeros((seeds, c))
+    accumulated = np.broadcast_to(np.diag(errors.constants.sigma**-2.0), (seeds, c, c)).copy()
+    said = np.zeros((seeds, c))
     states[0], covariances[0] = x, P
     before = np.zeros((seeds, segments[0].step.H.shape[0]))
     for k in range(steps):
         if k % EVERY == 0:
-            information[k // EVERY], vector[k // EVERY] = known, said
-            theta = np.linalg.solve(known, said[..., None])[..., 0]
+            information[k // EVERY], vector[k // EVERY] = accumulated, said
+            theta = np.linalg.solve(accumulated, said[..., None])[..., 0]
         system = segments[segment_of[k]]
         step = system.step
         best = x[..., 0:1] + x[..., 1:] @ theta[..., None]
@@ -97,7 +98,7 @@ def filtered(
         if c:
             foreseen = errors.direct(k, rough, (rough - before) / REFERENCE_STEP_S, theta)
             judged = (e[..., 1:] - foreseen) * errors.constants.judged
-            known = known + judged.swapaxes(1, 2) @ inverse @ judged
+            accumulated = accumulated + judged.swapaxes(1, 2) @ inverse @ judged
             said = said - (judged.swapaxes(1, 2) @ inverse @ e[..., 0:1])[..., 0]
             surprise = e[..., 0:1] + judged @ theta[..., None]
             answer = (step.H @ P @ H.swapaxes(1, 2) + step.R @ transposed) @ inverse @ surprise
@@ -112,7 +113,7 @@ def filtered(
         P = (P + P.swapaxes(1, 2)) / 2
         states[k + 1], covariances[k + 1] = x, P
     if steps % EVERY == 0:
-        information[-1], vector[-1] = known, said
+        information[-1], vector[-1] = accumulated, said
     return Filtered(states, covariances, closed, gain, pull, information, vector)
 
 

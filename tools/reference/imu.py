@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from companion.records import Axis, ClockName, ImuBatch, Station
-from sitl_tests.reference.spec import SAMPLE_S, SensorSpec
-from sitl_tests.reference.truth import STEP_S, TruthRun
+from tools.reference.spec import SAMPLE_S, SensorSpec
+from tools.reference.truth import STEP_S, TruthRun
 
 Floats = npt.NDArray[np.float64]
 EPOCH_HOST_NS = 1_000_000_000_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sitl_tests.reference.rigid import RigidMotion
+from tools.reference.rigid import RigidMotion
 
 GRAVITY_MPS2 = 9.80665
 SAMPLE_S = 0.001

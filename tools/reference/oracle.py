@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.kalman import Filtered, filtered, smoothed
-from sitl_tests.reference.observer import REFERENCE_STEP_S, Dynamics, Layout, dynamics, initial_covariance, layout_of
-from sitl_tests.reference.priors import Sensitivity, constants_of
-from sitl_tests.reference.spec import TruthSpec
-from sitl_tests.reference.truth import SEGMENT_S
-from sitl_tests.reference.views import views
+from tools.reference.kalman import Filtered, filtered, smoothed
+from tools.reference.observer import REFERENCE_STEP_S, Dynamics, Layout, dynamics, initial_covariance, layout_of
+from tools.reference.priors import Sensitivity, constants_of
+from tools.reference.spec import TruthSpec
+from tools.reference.truth import SEGMENT_S
+from tools.reference.views import views
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -66,11 +66,11 @@ class Oracle:
         push = system.fine_push * self.excess[k - 1, seed_index]
         theta = self.run.constants(k)[0][seed_index]
         x = self.run.states[k, seed_index] @ np.concatenate([[1.0], theta])
-        found = np.empty((count, 2))
+        deflections = np.empty((count, 2))
         for j in range(count):
             x = system.fine @ x + push
-            found[j] = x[self.first]
-        return found
+            deflections[j] = x[self.first]
+        return deflections
 
     def _estimate(self, columns: Floats, covariances: Floats, told_at: Ints) -> Estimate:
         """Put state and constants together, for every instant and seed."""

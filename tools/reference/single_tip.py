@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from sitl_tests.reference.discretise import Discrete, averages
-from sitl_tests.reference.spec import GRAVITY_MPS2
+from tools.reference.discretise import Discrete, averages
+from tools.reference.spec import GRAVITY_MPS2
 
 Floats = npt.NDArray[np.float64]
 SLOPE_RADPM = 1.39

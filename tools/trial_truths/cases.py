@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from sitl_tests.trials.wing import GRAVITY, Array, World, airspeed, integrate, roller
+from tools.trial_truths.strengths import (
+    CLOSE,
+    IN_SAMPLES,
+    ONE_WAY,
+    close_mode_sigmas,
+    participation,
+    sigma_of,
+    widening,
+)
+from tools.trial_truths.wing import GRAVITY, Array, World, airspeed, integrate, roller
 
 BASELINE_M = 1.98
 FOCAL_PX = 800.0
@@ -37,146 +46,6 @@ BELIEF: dict[str, Any] = {
     "rms_sigma": 0.2,
     "corner_sigma": 0.15,
 }
-SIGMA = {
-    "frequency-shift": 0.0076,
-    "frequency-drift": 0.0085,
-    "damping-shift": 0.115,
-    "left-right-frequency": 0.0027,
-    "left-right-damping": 0.089,
-    "left-right-forcing": 0.0071,
-    "cubic-stiffness": 73.0,
-    "quadratic-stiffness": 0.97,
-    "quadratic-damping": 1.4,
-    "coulomb-friction": 0.045,
-    "freeplay": 5.8e-5,
-    "hysteresis": 0.030,
-    "second-mode": 3.1e-4,
-    "close-mode": 0.12,
-    "torsion-coupling": 2.6e-4,
-    "parametric-stiffness": 0.0080,
-    "airspeed-dependence": 0.0029,
-    "covariate-frequency": 0.0028,
-    "accel-scale": 0.0059,
-    "accel-bias": 0.053,
-    "accel-cubic": 8.0e-6,
-    "stream-delay": 0.00023,
-    "clock-skew": 0.00031,
-    "sensor-filter": 0.00018,
-    "tone": 0.086,
-    "exposure-delay": 0.00018,
-    "exposure-jitter": 6.7e5,
-    "rolling-shutter": 1.0e-4,
-    "baseline-error": 0.0087,
-    "focal-error": 0.0040,
-    "convergence-offset": 0.00059,
-    "camera-asymmetry": 0.0048,
-    "mount-lag": 0.00018,
-    "mount-resonance": 1.1e-5,
-    "coloured-gust": 4.6e-7,
-    "periodic-forcing": 0.058,
-    "impulsive-forcing": 0.040,
-}
-"""Profiled posterior sigma of each effect at 20 dB with this belief, from screening recordings that hide none.
-
-Of five the information at 0 is not that at the magnitudes of trials, for frequency, damping and level make up for
-part of them. The sigmas of quadratic-damping, torsion-coupling, hysteresis and exposure-jitter are those by which the
-profiled log likelihood ratio of 4 to 6 recordings was what it was (2, 1.3, 1.7 and 2.1 times those at 0); close-mode
-has ``CLOSE``.
-"""
-CLOSE = (
-    (0.0, 0.06, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0),
-    (0.0, 2.4, 3.4, 5.2, 6.3, 7.6, 8.2, 8.7, 9.0, 9.1),
-    (0.0, 1.6, 2.4, 3.85, 4.85, 6.1, 6.85, 7.45, 7.9, 8.1),
-)
-"""Participations of a mode beside the first, and sigmas of the profiled likelihood ratio of one below and one above it.
-
-From the divergence of the two spectra over 60 s for a mode 9.75 % away, frequency, damping and level free. It
-saturates: 7 % away, a mode of any strength reaches 6 sigma at most, 5 % away 4; so what is hidden lies 9.75 to 10 %
-away. Noise and gust have no say in it: from 20 to 10 dB none of these numbers changes by more than 1.5 %.
-"""
-SEEN = {"saturation": (5.0, 7.0), "quantisation": (6.0, 8.0), "dropout-jitter": (0.02, 0.05)}
-"""What shows in the samples themselves has no sigma: the range beyond 1 g, the step, m/s^2; the share lost."""
-NOISIER = {
-    "accel-bias": 1.06,
-    "accel-cubic": 1.1,
-    "camera-asymmetry": 2.5,
-    "clock-skew": 1.7,
-    "coloured-gust": 1.2,
-    "convergence-offset": 1.05,
-    "coulomb-friction": 1.04,
-    "cubic-stiffness": 1.08,
-    "exposure-delay": 1.5,
-    "exposure-jitter": 2.5,
-    "freeplay": 1.07,
-    "impulsive-forcing": 1.06,
-    "left-right-damping": 1.05,
-    "left-right-forcing": 1.4,
-    "left-right-frequency": 1.08,
-    "mount-lag": 1.5,
-    "mount-resonance": 1.75,
-    "parametric-stiffness": 1.06,
-    "periodic-forcing": 1.06,
-    "quadratic-damping": 1.03,
-    "quadratic-stiffness": 1.09,
-    "rolling-shutter": 1.75,
-    "second-mode": 1.35,
-    "sensor-filter": 1.5,
-    "stream-delay": 1.4,
-    "tone": 1.08,
-    "torsion-coupling": 1.2,
-    "quantisation": 2.05,
-}
-"""How much larger the sigma is at 10 dB, where it is by 3 % or more: medians of 4 flights recorded at both.
-
-Of modes and tones over all their frequencies. A step of 12 to 16 m/s^2 adds 1 to 1.6 dB to the noise at 10 dB; much
-coarser ones leave less than half a standard deviation to a step, and are no noise but another sensor.
-"""
-LOUDER = {
-    "cubic-stiffness": -2,
-    "quadratic-stiffness": -1,
-    "quadratic-damping": -1,
-    "accel-cubic": -2,
-    "coulomb-friction": 1,
-    "freeplay": 1,
-    "periodic-forcing": 1,
-    "impulsive-forcing": 1,
-    "tone": 1,
-    "exposure-delay": -1,
-    "exposure-jitter": -2,
-    "rolling-shutter": -1,
-    "mount-lag": -1,
-    "mount-resonance": -1,
-    "camera-asymmetry": -1,
-}
-"""With which power of the wing's motion the sigma of an effect goes."""
-ONE_WAY = frozenset(
-    {
-        "quadratic-damping",
-        "coulomb-friction",
-        "freeplay",
-        "hysteresis",
-        "sensor-filter",
-        "mount-lag",
-        "mount-resonance",
-        "rolling-shutter",
-        "exposure-jitter",
-        "second-mode",
-        "close-mode",
-        "torsion-coupling",
-        "coloured-gust",
-    }
-)
-"""Effects that nature has in one direction only."""
-
-
-def sigma_of(name: str, snr_db: float = 20.0, loudness: float = 1.0) -> float:
-    """Posterior sigma of an effect; louder sensors than 20 dB widen it, quieter ones count as 20 dB."""
-    return float(SIGMA[name] * _wider(name, snr_db) * loudness ** LOUDER.get(name, 0))
-
-
-def _wider(name: str, snr_db: float) -> float:
-    share = min(max((20.0 - snr_db) / 10.0, 0.0), 1.0)
-    return float(NOISIER.get(name, 1.0) ** share)
 
 
 def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generator, snr_db: float = 20.0) -> Hidden:
@@ -185,8 +54,8 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
     loudness = float(np.exp(BELIEF["rms_sigma"] * rng.standard_normal()))
     beside = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.0975, 0.1))
     for name in names:
-        if name in SEEN:
-            effects[name] = float(rng.uniform(*SEEN[name])) * _wider(name, snr_db)
+        if name in IN_SAMPLES:
+            effects[name] = float(rng.uniform(*IN_SAMPLES[name])) * widening(name, snr_db)
         elif name == "close-mode":
             effects[name] = participation(strength, beside, rng)
         else:
@@ -209,17 +78,6 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
     return Hidden(effects, int(rng.integers(0, 2)), rng.bytes(8).hex(), extra)
 
 
-def participation(strength: tuple[float, float], ratio: float, rng: np.random.Generator) -> float:
-    """Participation of a mode beside the first: as strong as asked, or evenly up to where none makes it stronger."""
-    sigmas = _beside(ratio)
-    low, high = (min(end, sigmas[-1]) for end in strength)
-    return float(np.interp(rng.uniform(low, high), sigmas, CLOSE[0]))
-
-
-def _beside(ratio: float) -> tuple[float, ...]:
-    return CLOSE[1] if ratio < 0.0 else CLOSE[2]
-
-
 @dataclass(frozen=True)
 class Hidden:
     """Effects that a trial hides: names with magnitudes, and the seal that is told beforehand."""
@@ -232,7 +90,7 @@ class Hidden:
     def strength(self, name: str, snr_db: float) -> float:
         """Magnitude in posterior sigmas."""
         if name == "close-mode":
-            return float(np.interp(self.effects[name], CLOSE[0], _beside(self.extra["close-mode.ratio"])))
+            return float(np.interp(self.effects[name], CLOSE[0], close_mode_sigmas(self.extra["close-mode.ratio"])))
         if name == "damping-shift":
             return abs(float(np.log1p(self.effects[name]))) / sigma_of(name, snr_db)
         return abs(self.effects[name]) / sigma_of(name, snr_db, self.extra.get("loudness", 1.0))
@@ -339,7 +197,7 @@ def _record(
         white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
         force[:, s] = -(GRAVITY + up) * scale + bias + tone + white
         force[:, s] = _through_converter(force[:, s], effects, side == s)
-    stamps, kept = _stamped(t_s, effects, rng)
+    stamps, recorded = _stamped(t_s, effects, rng)
     at = np.arange(0.1, t_s[-1] - 0.1, 0.1) + rng.uniform(0, 0.04)
     reference = 45.0 + 25.0 * np.sin(2 * np.pi * at / 40.0) + 10.0 * np.sin(2 * np.pi * at / 13.0)
     toe = _toe(flight, world, effects, i, at, rng)
@@ -348,7 +206,7 @@ def _record(
     disparity = focal * (baseline / reference + toe) + MATCH_PX * rng.standard_normal(len(at))
     return Tables(
         stamps,
-        force[kept],
+        force[recorded],
         at,
         FOCAL_PX * BASELINE_M / disparity,
         reference,
@@ -369,8 +227,9 @@ def _through_converter(force: Array, effects: Mapping[str, float], here: bool) -
 def _stamped(t_s: Array, effects: Mapping[str, float], rng: np.random.Generator) -> tuple[Array, np.ndarray]:
     """Stamps wander a little (inside specification) or too much, with samples lost."""
     lost = effects.get("dropout-jitter", 0.0)
-    kept = rng.uniform(size=len(t_s)) >= lost
-    return t_s[kept] + (2e-5 if not lost else 3e-4) * np.clip(rng.standard_normal(int(kept.sum())), -1.5, 1.5), kept
+    recorded = rng.uniform(size=len(t_s)) >= lost
+    wander = (2e-5 if not lost else 3e-4) * np.clip(rng.standard_normal(int(recorded.sum())), -1.5, 1.5)
+    return t_s[recorded] + wander, recorded
 
 
 def _toe(

@@ -17,7 +17,7 @@ from companion.core.stereo.search import Search
 from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
-from sitl_tests.replay.euroc_calibration import euroc_cameras
+from tools.bench.euroc_calibration import euroc_cameras
 
 FAST_SIGMA_RAD = 0.0003
 
@@ -34,6 +34,7 @@ class FlexedPair:
 
     @property
     def total_rad(self) -> np.ndarray:
+        """True rotation of the right camera, (3,) rad in camera axes."""
         return self.slow_rad + self.fast_rad
 
 

@@ -16,7 +16,7 @@ NODE = ClockName.NODE_LEFT
 
 @dataclass
 class Link:
-    """A remote clock behind a lossy, jittery link. Truth is integer arithmetic of the test's own."""
+    """A remote clock behind a lossy, jittery link. Truth is integer arithmetic of its own."""
 
     seed: int
     skew_ppm: int = 167
@@ -33,15 +33,17 @@ class Link:
         self.epoch_ns = int(self.rng.integers(0, 10**15))
 
     def remote(self, host_ns: int) -> int:
+        """Reading of the remote clock at a host instant, ns."""
         elapsed = host_ns - self.start_ns
         return self.epoch_ns + elapsed + elapsed * self.skew_ppm // 1_000_000
 
     def exchange(self, sent_ns: int) -> TimesyncReply | None:
+        """Answered TIMESYNC exchange, or None where either message was lost."""
         lost = self.rng.random(2) < self.loss
-        there, back = (self.fixed_ns + self.rng.random(2) * self.jitter_ns).astype(np.int64)
+        outward, back = (self.fixed_ns + self.rng.random(2) * self.jitter_ns).astype(np.int64)
         if lost.any():
             return None
-        read_ns = sent_ns + int(there)
+        read_ns = sent_ns + int(outward)
         stamp = self.remote(read_ns) // 1000 * 1000  # ArduPilot counts microseconds
         return TimesyncReply(NODE, sent_ns, stamp, read_ns + int(back))
 
@@ -52,6 +54,7 @@ class Link:
         return other
 
     def stamps(self, host_ns: Ints) -> Ints:
+        """Readings of the remote clock at host instants, (n,) ns each."""
         return np.array([self.remote(int(t)) for t in host_ns], dtype=np.int64)
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sitl_tests.reference.observer import MEAN, MOMENT, SAMPLES_PER_STEP, Layout
-from sitl_tests.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
+from tools.reference.observer import MEAN, MOMENT, SAMPLES_PER_STEP, Layout
+from tools.reference.spec import GRAVITY_MPS2, SAMPLE_S, TruthSpec
 
 Floats = npt.NDArray[np.float64]
 _E = (0.0, 1.0, -1.0)
@@ -129,9 +129,9 @@ class _Builder:
             M[..., at.basis("a1", mode)] = -c * sign
         M[..., at.basis("alpha1")] = c * arm
         # the load factor's own slope inside the step pushes the symmetric mode as well
-        share = c * (1 + self.push_ratio)
-        value = self.means.moment[station] - share * self.means.moment[0]
-        self._add(value, M, b, {("z1", station): 1.0, ("z1", 0): -share})
+        coupling = c * (1 + self.push_ratio)
+        value = self.means.moment[station] - coupling * self.means.moment[0]
+        self._add(value, M, b, {("z1", station): 1.0, ("z1", 0): -coupling})
 
     def lateral(self, station: int) -> None:
         """The lateral axis: the slope through the measured vertical specific force."""
@@ -148,9 +148,9 @@ class _Builder:
         side = "left" if station == 1 else "right"
         b[..., at.bias(f"y_{side}")] = 1.0
         b[..., at.bias(f"z_{side}")] = -e * tangent
-        known = (root[..., _Y] - arm * (yaw**2 - roll**2)) / c + e * tangent * tip[..., _Z]
+        expected = (root[..., _Y] - arm * (yaw**2 - roll**2)) / c + e * tangent * tip[..., _Z]
         noise = {("y", station): 1.0, ("y", 0): -1 / c, ("z", station): -e * tangent}
-        self._add(tip[..., _Y] - known, M, b, noise)
+        self._add(tip[..., _Y] - expected, M, b, noise)
 
     def root_rate(self) -> None:
         """The root's roll rate."""

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.ndimage
 
-from sitl_tests.reference.discretise import averages
-from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.spec import GRAVITY_MPS2, ModeSpec, TruthSpec
+from tools.reference.discretise import averages
+from tools.reference.load import chain, intensity
+from tools.reference.spec import GRAVITY_MPS2, ModeSpec, TruthSpec
 
 Floats = npt.NDArray[np.float64]
 STEP_S = 0.0005
@@ -48,17 +48,17 @@ class TruthRun:
 
     def q_at(self, t_s: Floats) -> Floats:
         """Deflection about trim (S, modes, len(t)), cubic Hermite between the steps."""
-        index, part = _locate(t_s, self.steps)
+        index, fraction = _locate(t_s, self.steps)
         q0, q1 = self.q_m[..., index], self.q_m[..., index + 1]
         v0, v1 = self.v_mps[..., index] * STEP_S, self.v_mps[..., index + 1] * STEP_S
         rise = q1 - q0
-        cubic = (v0 + v1 - 2 * rise) * part + (3 * rise - 2 * v0 - v1)
-        return q0 + part * (v0 + part * cubic)
+        cubic = (v0 + v1 - 2 * rise) * fraction + (3 * rise - 2 * v0 - v1)
+        return q0 + fraction * (v0 + fraction * cubic)
 
     def v_at(self, t_s: Floats) -> Floats:
         """Deflection rate (S, modes, len(t)), linear between the steps."""
-        index, part = _locate(t_s, self.steps)
-        return self.v_mps[..., index] * (1 - part) + self.v_mps[..., index + 1] * part
+        index, fraction = _locate(t_s, self.steps)
+        return self.v_mps[..., index] * (1 - fraction) + self.v_mps[..., index + 1] * fraction
 
     def total_at(self, t_s: Floats) -> Floats:
         """Deflection with trim (S, modes, len(t))."""
@@ -81,15 +81,15 @@ class TruthRun:
         """Times and deflections of peaks above one rms: the extremum of its surroundings of half a period."""
         q = self.q_m[seed_index, mode]
         width = round(0.5 / self.spec.modes[mode].frequency_hz / STEP_S) | 1
-        found: list[tuple[float, float]] = []
+        extremes: list[tuple[float, float]] = []
         rms = self.spec.modes[mode].rms_m
         for sign in (1.0, -1.0):
             top = (scipy.ndimage.maximum_filter1d(sign * q, width) == sign * q) & (sign * q > rms)
             top[:width] = top[-width:] = False
             for k in np.flatnonzero(top):
                 if k * STEP_S >= start_s:
-                    found.append((self._refine(q, int(k)), float(q[k])))
-        return sorted(found)
+                    extremes.append((self._refine(q, int(k)), float(q[k])))
+        return sorted(extremes)
 
     @staticmethod
     def _refine(q: Floats, k: int) -> float:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from sitl_tests.trials.stranger.beam import Array, Modes, modes
-from sitl_tests.trials.stranger.steps import Laws, Plant, advance, propagated
+from tools.trial_truths.stranger.beam import Array, Modes, modes
+from tools.trial_truths.stranger.steps import Laws, Plant, advance, propagated
 
 STEP_HZ = 4000.0
 GRAVITY = 9.80665

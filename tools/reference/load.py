@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from sitl_tests.reference.spec import GustShape, ModeSpec
+from tools.reference.spec import GustShape, ModeSpec
 
 Floats = npt.NDArray[np.float64]
 
