@@ -19,7 +19,7 @@ import numpy as np
 
 from companion.core.stereo.epipolar_states import BASELINE, LENS
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import LensAxes, parallax_columns
+from companion.core.stereo.lens_residual import LensAxes, across_lines, parallax_columns
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
@@ -56,10 +56,13 @@ def parallax(epipolar_rays: Rays, axes: LensAxes, state: Floats) -> tuple[Floats
     """
     half = exp_rotation(0.5 * state[:3])
     turned, axes = _turned(epipolar_rays, half), axes.turned(half)
-    residual_rad = _unexplained(turned, parallax_columns(turned, axes), state)
+    left = across_lines(turned.left, axes.left)
+    residual_rad = _unexplained(turned, parallax_columns(left, across_lines(turned.right, axes.right)), state)
     # Columns are taken where the rays meet, for the left pixel is the feature and the right one its noisy match: at the
     # ray as measured the noise is in columns and residual alike, and pulls at the radial terms, pair by pair the same.
-    return residual_rad, _columns(_meeting(turned, residual_rad), axes)
+    meeting = _meeting(turned, residual_rad)
+    lens = parallax_columns(left, across_lines(meeting.right, axes.right))
+    return residual_rad, np.concatenate([_turn_and_baseline_columns(meeting), lens], axis=1)
 
 
 def _turned(rays: Rays, half: Floats) -> Rays:
@@ -76,25 +79,17 @@ def _meeting(rays: Rays, parallax_rad: Floats) -> Rays:
 
 def _unexplained(rays: Rays, lens: Floats, state: Floats) -> Floats:
     """Parallax (n,) of turned rays beyond what the baseline and the lenses, by their columns (n, 9), leave."""
-    disparity, twisted = _baseline_columns(rays)
+    columns = _turn_and_baseline_columns(rays)
     apart = rays.right_m - rays.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
     y_l, y_r = rays.left[:, 1] / rays.left[:, 2], rays.right[:, 1] / rays.right[:, 2]
-    unexplained: Floats = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
+    unexplained: Floats = y_l - y_r - (toward * columns[:, BASELINE]).sum(axis=1) - lens @ state[LENS]
     return unexplained
 
 
-def _columns(rays: Rays, axes: LensAxes) -> Floats:
-    """Fall (n, 14) of the parallax with rotation, baseline and lens terms."""
+def _turn_and_baseline_columns(rays: Rays) -> Floats:
+    """Fall (n, 5) of the parallax with pitch, yaw, roll, and the baseline's y and z."""
     x_l, y_l = rays.left[:, 0] / rays.left[:, 2], rays.left[:, 1] / rays.left[:, 2]
     x_r, y_r = rays.right[:, 0] / rays.right[:, 2], rays.right[:, 1] / rays.right[:, 2]
     per_turn = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
-    columns = np.stack([*per_turn, *_baseline_columns(rays)], axis=1)
-    return np.concatenate([columns, parallax_columns(rays, axes)], axis=1)
-
-
-def _baseline_columns(rays: Rays) -> tuple[Floats, Floats]:
-    """Disparity (n,), and ``x_r y_l - y_r x_l`` (n,): parallax per radian of the baseline's y and z."""
-    x_l, y_l = rays.left[:, 0] / rays.left[:, 2], rays.left[:, 1] / rays.left[:, 2]
-    x_r, y_r = rays.right[:, 0] / rays.right[:, 2], rays.right[:, 1] / rays.right[:, 2]
-    return x_l - x_r, x_r * y_l - y_r * x_l
+    return np.stack([*per_turn, x_l - x_r, x_r * y_l - y_r * x_l], axis=1)

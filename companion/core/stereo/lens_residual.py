@@ -103,13 +103,15 @@ def left_terms(terms: Floats) -> tuple[Floats, Floats]:
     return per_term @ terms, per_term
 
 
-def parallax_columns(rays: Rays, axes: LensAxes) -> Floats:
-    """Parallax (n, 9) that a unit of each term of the pair leaves; rays and axes in the epipolar frame."""
-    across_left, across_right = (
-        (bent[:, 1] - (directions[:, 1:2] / directions[:, 2:]) * bent[:, 2]) / directions[:, 2:]
-        for directions, bent in ((rays.left, _bent(rays.left, axes.left)), (rays.right, _bent(rays.right, axes.right)))
-    )
-    return np.column_stack([0.5 * (across_left + across_right), (across_left - across_right)[:, _MEANS]])
+def across_lines(directions: Floats, axes: Floats) -> Floats:
+    """Error (n, 6) of the slopes y of directions (n, 3) per unit of each term of the lens with these axes (3, 3)."""
+    bent, z = _bent(directions, axes), directions[:, 2:]
+    return np.asarray((bent[:, 1] - directions[:, 1:2] / z * bent[:, 2]) / z)
+
+
+def parallax_columns(left: Floats, right: Floats) -> Floats:
+    """Parallax (n, 9) per unit of each term of the pair, of both lenses' errors (n, 6) across the lines."""
+    return np.column_stack([0.5 * (left + right), (left - right)[:, _MEANS]])
 
 
 def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float = 1.0) -> float:
