@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.signal import butter, freqs
@@ -65,6 +67,23 @@ def test_response_and_samples_agree(kind: type[Effect], station: Station) -> Non
     response = effect.response(station, np.array([f_hz]))
     assert response is not None
     assert gain == pytest.approx(complex(response[0]), abs=1e-6)
+
+
+ADDITIVE = [kind for kind in KINDS if kind.additive]
+
+
+@pytest.mark.parametrize("kind", ADDITIVE, ids=[kind.name for kind in ADDITIVE])
+def test_what_is_additive_is_the_same_whatever_is_read_and_however_the_wing_moves(
+    kind: type[Effect], model: WingModel
+) -> None:
+    effect = kind.from_values({entry.name: entry.default + entry.sigma for entry in kind.parameters()})
+    moving = motion(model)
+    still = dataclasses.replace(moving, q_m=0.0 * moving.q_m, qdot_mps=0.0 * moving.qdot_mps)
+    assert np.array_equal(effect.force(still), effect.force(moving))
+    values = np.random.default_rng(1).normal(0.0, 10.0, (500, 6))
+    for station in Station:
+        added = effect.sense(station, still.t_s, values) - values
+        assert added == pytest.approx(effect.sense(station, still.t_s, 0.0 * values), abs=1e-12)
 
 
 def test_a_filter_of_second_order_is_the_butterworth_s() -> None:

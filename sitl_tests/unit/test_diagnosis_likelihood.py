@@ -200,6 +200,24 @@ def test_a_step_beside_a_model_with_forces_smooths_no_motion_again(
     np.testing.assert_array_equal(beside.spectrum, whole.spectrum)
 
 
+def test_a_height_that_is_scored_next_is_reached_once(drawn: FlightModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, expected = [0], FlightModel.expect
+
+    def counted(model: FlightModel, *rest: Any) -> Any:
+        asked[0] += 1
+        return expected(model, *rest)
+
+    likelihood, fresh = (FlightsLikelihood([drawn], [EffectTerm(catalogue()["tone"]())]) for _ in range(2))
+    at = likelihood.start() + 0.1 * np.array([entry.sigma for entry in likelihood.parameters])
+    state = likelihood.scores(likelihood.start()).state
+    monkeypatch.setattr(FlightModel, "expect", counted)
+    height = likelihood.log_likelihood(at, state)
+    scores = likelihood.neighbour_scores(at, state)
+    assert asked == [1]
+    assert scores.log_likelihood == height
+    assert np.array_equal(scores.gradient, fresh.neighbour_scores(at, state).gradient)
+
+
 def test_derivatives_of_a_neighbour_lead_to_the_same_top(drawn: FlightModel) -> None:
     likelihood = FlightsLikelihood([drawn], ())
     start = likelihood.start() + 0.5 * np.array([entry.sigma for entry in likelihood.parameters])

@@ -163,6 +163,8 @@ class Effect:
     """Whether below 0 it is another thing than above (the other stream late), so that it is screened on either side."""
     in_samples: ClassVar[bool] = False
     """Whether recorded samples show it by themselves (:meth:`sample_defect`): then nothing is fitted to it."""
+    additive: ClassVar[bool] = False
+    """Whether what it adds is the same whatever a sensor reads, or however the wing moves: it has no slope."""
     discretises: ClassVar[bool] = False
     """Whether it makes a staircase of readings, from which no smooth law of the sensors can be told."""
     own_law: ClassVar[str] = ""

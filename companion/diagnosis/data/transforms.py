@@ -10,6 +10,7 @@ from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
 _FINER = 4  # zero padding before interpolation
+_CACHED = 4  # sets of instants: of either clock, ahead and behind
 _POINTS = np.arange(-4.0, 5.0)
 
 
@@ -21,7 +22,7 @@ class Transforms:
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
         self.fading = _tukey(count, faded_share(count * dt_s))
-        self._last: tuple[bytes, npt.NDArray[np.int64], Floats] | None = None
+        self._cache: dict[bytes, tuple[npt.NDArray[np.int64], Floats]] = {}
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
@@ -60,14 +61,16 @@ class Transforms:
         return np.asarray(np.sum(fine[rows] * weights, axis=1))
 
     def _places(self, at_s: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Points of the finer grid about each instant and their weights, (k, 9) each; the last are kept."""
+        """Points of the finer grid about each instant and their weights, (k, 9) each; the last few are kept."""
         key = at_s.tobytes()
-        if self._last is None or self._last[0] != key:
+        if key not in self._cache:
+            if len(self._cache) >= _CACHED:
+                self._cache.pop(next(iter(self._cache)))
             place = (at_s - self.start_s) * (_FINER / self.dt_s)
             nearest = np.rint(place).astype(np.int64)
             rows = (nearest[:, None] + _POINTS.astype(np.int64)) % (_FINER * self.count)
-            self._last = key, rows, _lagrange(place - nearest)
-        return self._last[1], self._last[2]
+            self._cache[key] = rows, _lagrange(place - nearest)
+        return self._cache[key]
 
 
 def _lagrange(u: Floats) -> Floats:

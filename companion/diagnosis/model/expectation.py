@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg import cho_factor
+from scipy.linalg.lapack import dpotri
 
 from companion.diagnosis.model.linear_spectra import Linear
 from companion.diagnosis.spectral_matrices import Complexes
@@ -61,7 +64,7 @@ class Motion(Protocol):
         """Smoothed modal deflection and speed, (n, m) each."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Expectation:
     """A model held against a recording of c accelerometers, b frequencies in the band, k exposures, n modes, m samples.
 
@@ -114,3 +117,14 @@ class Expectation:
     def toe_covariance(self) -> Floats:
         """Covariance of the toe residual, (k, k), rad^2."""
         return self.toe_posterior + np.diag(self.toe_variance)
+
+    @cached_property
+    def toe_factor(self) -> Floats:
+        """Cholesky's factor of it, (k, k); only the lower triangle means anything."""
+        return np.asarray(cho_factor(self.toe_covariance, lower=True, check_finite=False)[0])
+
+    @property
+    def toe_precision(self) -> Floats:
+        """Inverse of it, (k, k)."""
+        lower = np.tril(dpotri(self.toe_factor, lower=1)[0])
+        return np.asarray(lower + np.tril(lower, -1).T)

@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
@@ -120,11 +120,9 @@ class FlightModel:
             mahalanobis = quadratic_form(expectation.inverse, expectation.residual)
             scores["acceleration"] = -self.weight * (spread + mahalanobis)
         if len(expectation.toe_residual_rad):
-            factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
-            whitened = expectation.toe_residual_rad @ cho_solve(
-                factor, expectation.toe_residual_rad, check_finite=False
-            )
-            scores["range"] = float(-np.sum(np.log(np.diag(factor[0]))) - 0.5 * whitened)
+            factor, residual = expectation.toe_factor, expectation.toe_residual_rad
+            whitened = residual @ cho_solve((factor, True), residual, check_finite=False)
+            scores["range"] = float(-np.sum(np.log(np.diag(factor))) - 0.5 * whitened)
         if self._toe_alone:
             return scores
         rest = expectation.rest_residual**2 / expectation.rest_variance

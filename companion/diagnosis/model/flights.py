@@ -40,6 +40,7 @@ class FlightsLikelihood:
         self._models, self._terms = models, tuple(terms)
         self.parameters = priors(models[0].belief, terms, wider)
         self._sigmas: Floats = np.array([entry.sigma for entry in self.parameters])
+        self._reached: list[tuple[Floats, FlightState, tuple[Expectation, ...]]] = []
 
     def start(self, nuisances: Floats | None = None) -> Floats:
         """Effects at the values of their terms, nuisances as given or as believed, (p,)."""
@@ -52,7 +53,7 @@ class FlightsLikelihood:
 
     def log_likelihood(self, values: Floats, near: FlightState) -> float:
         """Log likelihood with the posterior covariance of the toe as it is nearby."""
-        return log_likelihood(self._models, expect(self._models, values, self._terms, near.expectations))
+        return log_likelihood(self._models, self._expected(values, near))
 
     def scores(self, values: Floats) -> Scores[FlightState]:
         """Log likelihood, gradient and information of all flights together."""
@@ -62,8 +63,7 @@ class FlightsLikelihood:
 
     def neighbour_scores(self, values: Floats, near: FlightState) -> Scores[FlightState]:
         """The same with the derivatives of a neighbouring vector, and the posterior covariance of the toe there."""
-        expectations = expect(self._models, values, self._terms, near.expectations)
-        return self._scored(expectations, near.columns)
+        return self._scored(self._expected(values, near), near.columns)
 
     def scores_beside(self, values: Floats, fitted: FlightFit) -> Scores[FlightState]:
         """The same with the derivatives of a fit for all that this has too: another term's move them little."""
@@ -79,6 +79,15 @@ class FlightsLikelihood:
             further = iter(new)
             joined.append(tuple(next(further) if other is None else before[other] for other in lent))
         return self._scored(expectations, tuple(joined))
+
+    def _expected(self, values: Floats, near: FlightState) -> tuple[Expectation, ...]:
+        """Expectations beside a state, the last two kept: a step is judged by its height, then scored where it ends."""
+        for at, beside, expectations in self._reached:
+            if beside is near and np.array_equal(at, values):
+                return expectations
+        expectations = expect(self._models, values, self._terms, near.expectations)
+        self._reached = [*self._reached[-1:], (values, near, expectations)]
+        return expectations
 
     def _scored(
         self, expectations: tuple[Expectation, ...], columns: tuple[tuple[Column, ...], ...]

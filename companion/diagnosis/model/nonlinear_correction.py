@@ -64,6 +64,7 @@ class SensorLineariser:
         self._fine = _Fine(observations, self._weight)
         self._rigid = _rigid_mps2(observations)
         self._cache: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
+        self._corrected: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
         self._kicks: dict[tuple[Effect, int], Floats] = {}
 
     @property
@@ -84,10 +85,17 @@ class SensorLineariser:
         (c, m), (c,)
             Accelerations, and the scale on them that the effects' linear part amounts to.
         """
-        up, scale = self._up, np.ones(len(self._up))
-        sensor_effects = [
+        sensor_effects = tuple(
             effect for effect in effects if type(effect).response is Effect.response and _acts_on_samples(effect)
-        ]
+        )
+        if sensor_effects not in self._corrected:
+            if len(self._corrected) >= _CACHE_SIZE:
+                self._corrected.pop(next(iter(self._corrected)))
+            self._corrected[sensor_effects] = self._undone(sensor_effects)
+        return self._corrected[sensor_effects]
+
+    def _undone(self, sensor_effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
+        up, scale = self._up, np.ones(len(self._up))
         bending = tuple(effect for effect in sensor_effects if not _shifts_samples(effect))
         if bending:
             change, scale = self._bent_by(bending)
@@ -130,13 +138,15 @@ class SensorLineariser:
         forcing = [term for term in terms if term.effect.forces_modes()]
         lasting = [term for term in forcing if type(term.effect).remember is not Effect.remember]
         kicks = [term for term in forcing if term.effect.transient]
-        instant = [term for term in forcing if term not in lasting and term not in kicks]
+        steady = [term for term in forcing if type(term.effect).additive]
+        instant = [term for term in forcing if term not in (*lasting, *kicks, *steady)]
         n = len(q_m)
         per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
         rest = self._blurred(wing, instant, q_m, qdot_mps, untold_m)
         if np.any(rest):
             per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), untold_m, rest)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
+        rest = rest + self._total(wing, steady, q_m, qdot_mps)
         filtered: Complexes | None = None
         slipped = self._total(wing, lasting, q_m, qdot_mps)
         if np.any(slipped):
@@ -179,9 +189,14 @@ class SensorLineariser:
         """Mean derivatives by deflection and by speed, (n, n) each, of forces that sum to ``total`` (n, m)."""
         n, signed_weight = len(total), self._weight * self._signs / np.sum(self._weight)
         slopes = np.zeros((2, n, n))
+        still = self._total(wing, terms, *motions)
         for which, motion in enumerate(motions):
-            for j in range(n):
-                bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
+            bumps = _BUMP_OF_MOTION * np.std(motion, axis=1)
+            perturbed = list(motions)
+            perturbed[which] = motion + np.outer(bumps, self._signs)
+            if np.array_equal(self._total(wing, terms, *perturbed), still):
+                continue  # most laws follow the deflection or the speed, and not both
+            for j, bump in enumerate(bumps.tolist()):
                 if bump > 0.0:
                     perturbed = list(motions)
                     perturbed[which] = motion.copy()
@@ -274,8 +289,11 @@ class SensorLineariser:
         shown = true = fine.shown(channel)
         scale, added_to_root = 1.0, np.zeros(len(shown))
         for effect in reversed(effects):
-            true = fine.inverted(effect, station, true)
-            scale *= fine.geometric_mean_gain(effect, station, true)
+            if type(effect).additive:
+                true = true - fine.sensed(effect, station, true)
+            else:
+                true = fine.inverted(effect, station, true)
+                scale *= fine.geometric_mean_gain(effect, station, true)
             added_to_root += self._of_root(effect)
         return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, product
@@ -164,7 +164,7 @@ def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floa
     index = np.array([i for i, entry in enumerate(columns) if entry.toe is not None], dtype=np.int64)
     if not len(expectation.toe_residual_rad) or not len(index):
         return
-    factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
+    factor = expectation.toe_factor, True
     toe = np.stack([entry.toe for entry in columns if entry.toe is not None], 1)
     weighed = cho_solve(factor, toe, check_finite=False)
     gradient[index] -= weighed.T @ expectation.toe_residual_rad
@@ -173,7 +173,7 @@ def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floa
     if not random:
         return
     white = cho_solve(factor, expectation.toe_residual_rad, check_finite=False)
-    precision = cho_solve(factor, np.eye(len(white)), check_finite=False)
+    precision = expectation.toe_precision
     for i, changed in random:
         gradient[i] += 0.5 * float(changed @ (white**2 - np.diag(precision)))
         for j, other in random:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic
 
@@ -30,9 +31,12 @@ _TOO_CLOSE = 2.0  # nat: odds of 7 to 1
 _CONCEIVABLE = 6.0  # nat: odds of 400 to 1
 UNPREJUDICED = 5.0
 """How much wider the priors of terms are where values are measured, and names not ranked."""
+_MORE_THAN_PROMISED = 2.0  # times the log odds of a score, a refit's at most: where a frequency moves far
 _OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
 UNPHYSICAL = (ValueError, FloatingPointError, np.linalg.LinAlgError)
 """Errors of a model at values beyond what is physical."""
+
+_Names = frozenset[tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +61,9 @@ class ForwardSelection(Generic[TermT, State]):
         for step in range(most):
             if step:
                 screenings = self._screened(beam)
-            grown = [
-                child
-                for path, screening in zip(beam[: len(screenings)], screenings, strict=True)
-                for child in self._grow(path, screening)
-            ]
+            grown: list[SelectionPath[TermT, State]] = []
+            for path, screening in zip(beam[: len(screenings)], screenings, strict=True):
+                grown += self._grow(path, screening, grown)
             beam = _foremost(grown)
             if not beam:
                 break
@@ -88,29 +90,33 @@ class ForwardSelection(Generic[TermT, State]):
         return _restated(path, fitted) if fitted.converged else path
 
     def _grow(
-        self, path: SelectionPath[TermT, State], screening: Screening[TermT]
+        self,
+        path: SelectionPath[TermT, State],
+        screening: Screening[TermT],
+        grown: Sequence[SelectionPath[TermT, State]],
     ) -> list[SelectionPath[TermT, State]]:
+        """Children of a path; names to which another has ``grown`` are that one's, and are not fitted again."""
         enough = ENOUGH_MORE if path.causes else ENOUGH
-        tried = self._refit(path, screening)
+        reached = {_names(child.fitted): child.fitted for child in grown}
+        tried = self._refit(path, screening, reached, enough - _CONCEIVABLE)
         good = [entry for entry in tried if entry.log_bayes_factor > enough and entry.candidate.z > CERTAIN_Z]
-        return [_extended(path, entry, _alike(entry, tried, screening)) for entry in good]
+        fresh = [entry for entry in good if _names(entry.fitted) not in reached]
+        return [_extended(path, entry, _alike(entry, tried, screening)) for entry in fresh]
 
-    def _refit(self, path: SelectionPath[TermT, State], screening: Screening[TermT]) -> list[_Refit[TermT, State]]:
-        fresh = _fresh(path, screening)
-        if not fresh or fresh[0].z <= CERTAIN_Z:
-            return []
-        enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
-        leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
-        started = []
-        for i, candidate in enumerate(leading):
-            self._progress(f"refit {candidate.name}", i / len(leading))
-            refitted = self._recordings.refit(path.fitted, candidate)
-            if refitted is not None:
-                started.append(refitted)
+    def _refit(
+        self,
+        path: SelectionPath[TermT, State],
+        screening: Screening[TermT],
+        reached: Mapping[_Names, Fit[TermT, State]],
+        hopeless: float,
+    ) -> list[_Refit[TermT, State]]:
         tried = []
+        started = self._started(path, screening, reached)
         most = max((fitted.log_evidence for _, fitted in started), default=0.0)
         for candidate, fitted in started:
-            if not fitted.converged and most - fitted.log_evidence < _WITHIN:
+            behind, factor = most - fitted.log_evidence, fitted.log_evidence - path.fitted.log_evidence
+            # one that is no name and like none need not be known to the last digit
+            if not fitted.converged and behind < _WITHIN and factor > hopeless and _names(fitted) not in reached:
                 fitted = self._recordings.fit(fitted.terms, fitted, quick=True)
             if not self._recordings.plausible(fitted):
                 continue
@@ -119,6 +125,31 @@ class ForwardSelection(Generic[TermT, State]):
             worth = penalised_log_likelihood(self._recordings.log_count, fitted, path.fitted)
             tried.append(_Refit(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
+
+    def _started(
+        self,
+        path: SelectionPath[TermT, State],
+        screening: Screening[TermT],
+        reached: Mapping[_Names, Fit[TermT, State]],
+    ) -> list[tuple[Candidate[TermT], Fit[TermT, State]]]:
+        """Leading candidates with their first fits, but for those that can be neither a name nor like one."""
+        fresh = _fresh(path, screening)
+        if not fresh or fresh[0].z <= CERTAIN_Z:
+            return []
+        enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
+        leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
+        started: list[tuple[Candidate[TermT], Fit[TermT, State]]] = []
+        for i, candidate in enumerate(leading):
+            most = max((fitted.log_evidence for _, fitted in started), default=-math.inf) - path.fitted.log_evidence
+            if candidate.z <= CERTAIN_Z and _MORE_THAN_PROMISED * candidate.log_odds < most - _CONCEIVABLE:
+                continue
+            self._progress(f"refit {candidate.name}", i / len(leading))
+            with_it = _names(path.fitted) | {(candidate.name, candidate.term.channel)}
+            twin = reached.get(with_it)
+            refitted = self._recordings.refit(path.fitted, candidate) if twin is None else (candidate, twin)
+            if refitted is not None:
+                started.append(refitted)
+        return started
 
     def _bic(self, before: Fit[TermT, State], after: Fit[TermT, State]) -> float:
         extra = len(after.values) - len(before.values)
@@ -191,12 +222,16 @@ def _fresh(path: SelectionPath[TermT, State], screening: Screening[TermT]) -> li
     return [entry for entry in screening.candidates if entry.term.key not in named]
 
 
+def _names(fitted: Fit[TermT, State]) -> _Names:
+    return frozenset((term.name, term.channel) for term in fitted.terms)
+
+
 def _foremost(paths: Sequence[SelectionPath[TermT, State]]) -> list[SelectionPath[TermT, State]]:
     """The best paths, each set of names once."""
     best: list[SelectionPath[TermT, State]] = []
-    names_listed: set[frozenset[tuple[str, str]]] = set()
+    names_listed: set[_Names] = set()
     for path in sorted(paths, key=lambda entry: -entry.fitted.log_evidence):
-        names = frozenset((term.name, term.channel) for term in path.fitted.terms)
+        names = _names(path.fitted)
         behind = best[0].fitted.log_evidence - path.fitted.log_evidence if best else 0.0
         if names not in names_listed and behind < _WITHIN:
             names_listed.add(names)

@@ -18,6 +18,7 @@ class Tone(Effect):
     name: ClassVar[str] = "tone"
     group: ClassVar[Group] = Group.SENSING
     starts_at: ClassVar = ResidualPeak.LINE
+    additive: ClassVar[bool] = True
     advice: ClassVar[str] = "stop the propeller, or run it on the ground; a supply's tone stays when nothing turns"
 
     left_cosine_mps2: float = parameter("m/s^2", 0.5, "left, in phase with the start")
@@ -28,10 +29,12 @@ class Tone(Effect):
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Add the tone; up is -z."""
+        if station is Station.ROOT:
+            return values
         cosine, sine = {
             Station.LEFT: (self.left_cosine_mps2, self.left_sine_mps2),
             Station.RIGHT: (self.right_cosine_mps2, self.right_sine_mps2),
-        }.get(station, (0.0, 0.0))
+        }[station]
         phase = 2.0 * np.pi * self.frequency_hz * t_s
         sung = values.copy()
         sung[:, 2] -= cosine * np.cos(phase) + sine * np.sin(phase)

@@ -18,6 +18,7 @@ class PeriodicForcing(Effect):
     name: ClassVar[str] = "periodic-forcing"
     group: ClassVar[Group] = Group.FORCING
     starts_at: ClassVar = ResidualPeak.LINE
+    additive: ClassVar[bool] = True
     advice: ClassVar[str] = "record the propeller's rpm; a tone in the sensors alone moves no camera"
 
     cosine_mps2: float = parameter("m/s^2", 0.5, "modal load in phase with the start")

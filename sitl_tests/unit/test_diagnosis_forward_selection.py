@@ -1,0 +1,105 @@
+"""The search over terms: what it need not fit, on recordings whose evidence is a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.forward_selection import ForwardSelection
+from companion.diagnosis.selection.recordings import Prediction, Progress, Recordings
+from companion.diagnosis.selection.score_tests import Candidate, Screening
+
+
+@dataclass(frozen=True)
+class Named:
+    name: str
+    channel: str = ""
+    log_trials: float = 0.0
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+Fitted = Fit[Named, None]
+
+
+class Table(Recordings[Named, None]):
+    """Evidence by what is fitted, and how strong and how likely each term's score is on top of what has been fitted."""
+
+    def __init__(self, evidence: dict[str, float], scores: dict[str, list[tuple[str, float, float]]]) -> None:
+        self._evidence, self._scores = evidence, scores
+        self.refitted: list[str] = []
+        self.gone_on: list[str] = []
+
+    @property
+    def log_count(self) -> float:
+        return 0.0
+
+    def _fitted(self, terms: Sequence[Named], converged: bool) -> Fitted:
+        n, evidence = len(terms), self._evidence["".join(sorted(term.name for term in terms))]
+        names = tuple(term.name for term in terms)
+        blocks = tuple((k,) for k in range(n))
+        return Fit(
+            tuple(terms), names, blocks, np.zeros(n), np.zeros(n), np.ones(n), np.eye(n), evidence, evidence, converged,
+            None,
+        )  # fmt: skip
+
+    def null(self) -> Fitted:
+        return self._fitted((), True)
+
+    def fit(self, terms: Sequence[Named], near: Fitted, wider: float = 1.0, quick: bool = False) -> Fitted:
+        if quick:
+            self.gone_on.append("".join(term.name for term in terms))
+        return self._fitted(terms, True)
+
+    def screen(self, fitted: Fitted, progress: Progress) -> Screening[Named]:
+        entries = self._scores.get("".join(term.name for term in fitted.terms), [])
+        apart = np.eye(len(entries))
+        return Screening(tuple(Candidate(Named(name), z, odds) for name, z, odds in entries), apart, apart)
+
+    def refit(self, fitted: Fitted, candidate: Candidate[Named]) -> tuple[Candidate[Named], Fitted] | None:
+        terms = (*fitted.terms, candidate.term)
+        self.refitted.append("".join(term.name for term in terms))
+        return candidate, self._fitted(terms, False)
+
+    def checks(self, fitted: Fitted) -> list[Check]:
+        return []
+
+    def folds(self) -> list[Callable[[Fitted], list[Prediction]]]:
+        return []
+
+
+def search(table: Table) -> list[str]:
+    null = table.null()
+    first = table.screen(null, lambda _what, _ratio: None)
+    path = ForwardSelection(table, lambda _what, _ratio: None).search(null, first, 2)
+    return sorted(cause.term.name for cause in path.causes)
+
+
+def test_names_that_another_path_has_grown_to_are_not_fitted_again() -> None:
+    table = Table(
+        {"": 0.0, "a": 50.0, "b": 40.0, "ab": 90.0},
+        {"": [("a", 10.0, 50.0), ("b", 9.0, 40.0)], "a": [("b", 9.0, 40.0)], "b": [("a", 10.0, 50.0)]},
+    )
+    assert search(table) == ["a", "b"]
+    assert table.refitted == ["a", "b", "ab"]
+
+
+@pytest.mark.parametrize(("evidence", "goes_on"), [(-1.0, False), (2.0, True)])
+def test_a_first_fit_that_is_no_name_and_like_none_does_not_go_on(evidence: float, goes_on: bool) -> None:
+    table = Table({"": 0.0, "a": 20.0, "b": evidence}, {"": [("a", 6.0, 20.0), ("b", 5.0, 8.0)]})
+    assert search(table) == ["a"]
+    assert ("b" in table.gone_on) is goes_on
+
+
+@pytest.mark.parametrize(("odds", "fitted"), [(6.0, False), (8.0, True)])
+def test_what_is_too_weak_for_a_name_is_fitted_where_it_may_be_like_one(odds: float, fitted: bool) -> None:
+    table = Table({"": 0.0, "a": 20.0, "b": 7.0}, {"": [("a", 6.0, 20.0), ("b", 4.0, odds)]})
+    assert search(table) == ["a"]
+    assert ("b" in table.refitted) is fitted
