@@ -19,16 +19,6 @@ SHAPE = re.compile(
     r"\([\w.]+(?:\s*[-+*/]\s*(?:\w+|\([^()]*\))|\s\([^()]*\))*,(?:[^()]|\([^()]*\))*\)|\bshapes?\b", re.IGNORECASE
 )
 
-# in files that were being changed for speed when the rule was made; an entry goes where its shape is stated
-UNSTATED = {
-    "companion/core/wing/effect.py": {"Effect.remember"},
-    "companion/diagnosis/model/flights.py": {
-        *(f"FlightsLikelihood.{name}" for name in ("log_likelihood", "scores", "neighbour_scores", "scores_beside")),
-        *("fit", "joint_scores", "expect", "placed", "derivatives"),
-    },
-    "companion/diagnosis/model/scores.py": {"column", "packed"},
-}
-
 
 def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
     """Public functions and methods by qualified name."""
@@ -73,4 +63,4 @@ def _without_shape(name: str) -> set[str]:
 
 @pytest.mark.parametrize("name", FILES)
 def test_public_functions_of_arrays_state_shapes(name: str) -> None:
-    assert _without_shape(name) <= UNSTATED.get(name, set())
+    assert not _without_shape(name)

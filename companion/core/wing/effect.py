@@ -200,7 +200,7 @@ class Effect:
         return None
 
     def remember(self, motion: ModalMotion) -> Floats | None:
-        """Memory that a force with history takes from this instant to the next, or None."""
+        """Memory (k, ...) of a force with history from this instant to the next, k as the effect likes; or None."""
         del motion
         return None
 

@@ -52,21 +52,21 @@ class FlightsLikelihood:
         return values
 
     def log_likelihood(self, values: Floats, near: FlightState) -> float:
-        """Log likelihood with the posterior covariance of the toe as it is nearby."""
+        """Log likelihood of values (p,), with the posterior covariance of the toe as it is nearby."""
         return log_likelihood(self._models, self._expected(values, near))
 
     def scores(self, values: Floats) -> Scores[FlightState]:
-        """Log likelihood, gradient and information of all flights together."""
+        """Log likelihood, gradient (p,) and information (p, p) of all flights together at values (p,)."""
         expectations = expect(self._models, values, self._terms)
         columns = derivatives(self._models, values, self._terms, expectations, self._sigmas)
         return self._scored(expectations, tuple(tuple(entry) for entry in columns))
 
     def neighbour_scores(self, values: Floats, near: FlightState) -> Scores[FlightState]:
-        """The same with the derivatives of a neighbouring vector, and the posterior covariance of the toe there."""
+        """The same for values (p,) by derivatives of a neighbour, and the posterior covariance of the toe there."""
         return self._scored(self._expected(values, near), near.columns)
 
     def scores_beside(self, values: Floats, fitted: FlightFit) -> Scores[FlightState]:
-        """The same with the derivatives of a fit for all that this has too: another term's move them little."""
+        """The same for values (p,) by a fit's derivatives for what this has too: another term's move them little."""
         places = dict(zip([term.key for term in fitted.terms], fitted.blocks, strict=True))
         lent: list[int | None] = list(range(len(self._models[0].belief.nuisances)))
         for term in self._terms:
@@ -108,7 +108,7 @@ def fit(
     wider: float = 1.0,
     values_alone: bool = False,
 ) -> FlightFit:
-    """Find the most probable parameters in at most ``rounds`` scoring steps.
+    """Find the most probable parameters (p,) in at most ``rounds`` scoring steps.
 
     Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief; a start that is a fit
     of these recordings lends its derivatives too. The priors of the effects are made ``wider`` times as wide: for
@@ -142,7 +142,7 @@ def log_likelihood(models: Sequence[FlightModel], expectations: Sequence[Expecta
 def joint_scores(
     models: Sequence[FlightModel], expectations: Sequence[Expectation], columns: Sequence[Sequence[Column]]
 ) -> tuple[Floats, Floats]:
-    """Gradient and information of all recordings together; ``columns`` by recording."""
+    """Gradient (p,) and information (p, p) of all recordings together; ``columns`` by recording, p in each."""
     each = [scores(*entry) for entry in zip(models, expectations, columns, strict=True)]
     return np.sum([gradient for gradient, _ in each], axis=0), np.sum([matrix for _, matrix in each], axis=0)
 
@@ -153,7 +153,7 @@ def expect(
     terms: Sequence[EffectTerm],
     near: Sequence[Expectation] | None = None,
 ) -> tuple[Expectation, ...]:
-    """Hold a whole parameter vector against the recordings; ``near`` lends how well the toe is told."""
+    """Hold a whole parameter vector (p,) against the recordings; ``near`` lends how well the toe is told."""
     belief = models[0].belief
     placed_terms = placed(belief, values, terms)
     lent = near if near else [None] * len(models)
@@ -164,7 +164,7 @@ def expect(
 
 
 def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
-    """The effects with the values of a parameter vector."""
+    """The effects with the values of a parameter vector (p,)."""
     at, done = len(belief.nuisances), []
     for term in terms:
         names = [entry.name for entry in term.effect.parameters()]
@@ -194,7 +194,7 @@ def derivatives(
     sigmas: Floats,
     only: Sequence[int] | None = None,
 ) -> list[list[Column]]:
-    """Columns by recording for all parameters, or for those of ``only``."""
+    """Columns by recording for all parameters, values and sigmas (p,), or for those of ``only``."""
     belief = models[0].belief
     keys = [entry.key for entry in belief.nuisances]
     owners: list[tuple[Effect, int] | None] = [None] * len(keys)

@@ -57,7 +57,7 @@ def column(
     warps: bool,
     judged: bool = True,
 ) -> Column:
-    """Difference of two expectations ``step`` apart.
+    """Difference of two expectations ``step`` apart; ``shift_s`` (c, m) is what moves the channels' time.
 
     ``noisy`` is for what changes the toe's noise; accelerations that are not ``judged`` have none.
     """
@@ -181,7 +181,7 @@ def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floa
 
 
 def packed(hermitian: Complexes) -> Floats:
-    """A Hermitian matrix per frequency as one real vector; dot products are traces of products."""
+    """Hermitian matrices (c, c, b) as one real vector (c^2 b,); dot products are traces of products."""
     n = len(hermitian)
     entries = [hermitian[i, i].real for i in range(n)]
     for i in range(n):
