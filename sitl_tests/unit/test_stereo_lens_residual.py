@@ -26,6 +26,7 @@ from companion.core.stereo.lens_residual import (
     TILT_Y,
     LensAxes,
     lens_ratio,
+    quarter_turns,
     residual_field,
     straightened,
 )
@@ -153,6 +154,13 @@ def test_a_bent_wing_turns_the_lens_with_its_camera(looks: Callable[..., Airfram
     # what stays is of second order in the residual (1e-3), against its product with the bend
     assert wrong_m[0] < 0.15 * wrong_m[1]
     assert wrong_rad[0] < 0.15 * wrong_rad[1]
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.3, -0.6])
+def test_a_camera_that_bends_far_keeps_its_quarter_turns(angle_rad: float) -> None:
+    """Beyond 30 degrees the rounded entries of a rotation are no rotation any more."""
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert np.array_equal(quarter_turns(quarter @ exp_rotation(angle_rad * np.eye(3)[0])), quarter)
 
 
 @dataclasses.dataclass

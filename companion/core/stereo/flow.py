@@ -20,7 +20,14 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.stereo.geometry import Pose
-from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, left_fields, left_terms, straightened
+from companion.core.stereo.lens_residual import (
+    PAIR_TERMS,
+    LensAxes,
+    left_fields,
+    left_terms,
+    quarter_turns,
+    straightened,
+)
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Bools, Floats
@@ -182,7 +189,7 @@ class FlowView:
         """
         inverse_pm, sigma_pm = self._inverse_depths(self.rays, [(rotation_rad, lens, baseline)])
         left, per_term = left_terms(lens)
-        quarter = np.rint(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
+        quarter = quarter_turns(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
         bent_earlier, bent_later = left_fields(self.earlier, quarter), left_fields(self.later, quarter)
         earlier, later = (self.earlier - bent_earlier @ left)[:, :2], self.later - bent_later @ left
         moved = self._moved(rotation_rad, velocity_mps, turn_rad)

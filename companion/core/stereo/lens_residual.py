@@ -67,7 +67,7 @@ class LensAxes:
     def exposed(cls, pair: tuple[CameraExposure, CameraExposure], epipolar_from_body: Floats) -> LensAxes:
         """Axes at both exposures, in body axes; ``epipolar_from_body`` (3, 3)."""
         left, right = (exposure.pose.camera_from_body for exposure in pair)
-        return cls(*(np.rint(epipolar_from_body @ camera.T) @ camera for camera in (left, right)))
+        return cls(*(quarter_turns(epipolar_from_body @ camera.T) @ camera for camera in (left, right)))
 
     def in_frame(self, frame_from_body: Floats) -> LensAxes:
         """The axes in another frame than body axes, ``frame_from_body`` (3, 3)."""
@@ -76,6 +76,14 @@ class LensAxes:
     def turned(self, half: Floats) -> LensAxes:
         """The axes with the right camera turned by a rotation (3, 3), and the left one back by it."""
         return LensAxes(self.left @ half, self.right @ half.T)
+
+
+def quarter_turns(turn: Floats) -> Floats:
+    """The quarter turns (3, 3) nearest to a rotation (3, 3): each axis goes to the one it is nearest to."""
+    nearest, rows = np.zeros((3, 3)), np.arange(3)
+    columns = np.argmax(np.abs(turn), axis=1)
+    nearest[rows, columns] = np.sign(turn[rows, columns])
+    return nearest
 
 
 def residual_field(x: Floats, y: Floats) -> Floats:
