@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -13,18 +12,7 @@ from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.forward_selection import ForwardSelection
 from companion.diagnosis.selection.recordings import Prediction, Progress, Recordings
 from companion.diagnosis.selection.score_tests import Candidate, Screening
-
-
-@dataclass(frozen=True)
-class Named:
-    name: str
-    channel: str = ""
-    log_trials: float = 0.0
-
-    @property
-    def key(self) -> str:
-        return self.name
-
+from sitl_tests.unit.test_diagnosis_score_tests import Named
 
 Fitted = Fit[Named, None]
 

@@ -12,7 +12,9 @@ from companion.diagnosis.selection import score_tests
 
 
 @dataclass(frozen=True)
-class _Named:
+class Named:
+    """A term that is a name and no more."""
+
     name: str
     channel: str = ""
     log_trials: float = 0.0
@@ -26,7 +28,7 @@ def test_parameters_together_imitate_what_their_strongest_direction_does_not() -
     """Scores of x, y (a name) and of a law that is y alone; the data ask for x."""
     columns = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
     information = 100.0 * columns.T @ columns
-    tested = [score_tests.Tested(_Named("name"), np.ones(2)), score_tests.Tested(_Named("law"), np.ones(1))]
+    tested = [score_tests.Tested(Named("name"), np.ones(2)), score_tests.Tested(Named("law"), np.ones(1))]
     screening = score_tests.ranked(tested, np.array([50.0, 20.0, 20.0]), information)
     assert [candidate.name for candidate in screening.candidates] == ["name", "law"]
     assert screening.correlation[0, 1] == pytest.approx(2.0 / np.hypot(5.0, 2.0))
@@ -39,9 +41,9 @@ def test_an_imitation_lies_between_the_correlation_and_one() -> None:
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((40, 7))
     tested = [
-        score_tests.Tested(_Named("a"), np.ones(3)),
-        score_tests.Tested(_Named("b"), np.ones(2)),
-        score_tests.Tested(_Named("c"), np.ones(2)),
+        score_tests.Tested(Named("a"), np.ones(3)),
+        score_tests.Tested(Named("b"), np.ones(2)),
+        score_tests.Tested(Named("c"), np.ones(2)),
     ]
     screening = score_tests.ranked(tested, columns.T @ rng.standard_normal(40), columns.T @ columns)
     assert np.all(screening.imitation >= np.abs(screening.correlation) - 1e-9)
@@ -51,7 +53,7 @@ def test_an_imitation_lies_between_the_correlation_and_one() -> None:
 def test_the_best_of_several_places_pays_for_their_number() -> None:
     """Three places with scores of 4, 5 and 1 sigma: a chance three times as large as that of one place with 5."""
     information, score = 1e6 * np.eye(3), 1e3 * np.array([4.0, 5.0, 1.0])
-    places = [score_tests.Tested(_Named("scanned"), np.ones(1)) for _ in range(3)]
+    places = [score_tests.Tested(Named("scanned"), np.ones(1)) for _ in range(3)]
     (best,) = score_tests.ranked(places, score, information).candidates
     (alone,) = score_tests.ranked(places[:1], score[1:2], information[:1, :1]).candidates
     assert [norm.sf(entry.z) for entry in (best, alone)] == pytest.approx([3.0 * norm.sf(5.0), norm.sf(5.0)], rel=0.01)
@@ -60,6 +62,6 @@ def test_the_best_of_several_places_pays_for_their_number() -> None:
 
 def test_two_sides_of_one_term_are_one_place() -> None:
     information, score = 1e6 * np.eye(2), 1e3 * np.array([5.0, -5.0])
-    sides = [score_tests.Tested(_Named("hinged"), np.ones(1), side, True) for side in (1.0, -1.0)]
+    sides = [score_tests.Tested(Named("hinged"), np.ones(1), side, True) for side in (1.0, -1.0)]
     (best,) = score_tests.ranked(sides, score, information).candidates
     assert best.z == pytest.approx(5.0, abs=0.01)
