@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.parameters import DAMPING, FREQUENCY, ModeParameters
-from companion.core.tracking.smoother import error_after
+from companion.core.tracking.smoother import SmoothedState, error_after
 from companion.core.tracking.states import ModeFamily, StateLayout
 from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats, ModeEstimate
@@ -83,9 +83,7 @@ def slope_factor_jacobian(layout: StateLayout, state: Floats) -> Floats:
 def tip_estimate(
     layout: StateLayout,
     rows: Floats,
-    state: Floats,
-    covariance: Floats,
-    bias_sensitivity: Floats,
+    smoothed: SmoothedState,
     bias_parameters: Floats,
     bias_parameter_covariance: Floats,
 ) -> TipEstimate:
@@ -97,12 +95,8 @@ def tip_estimate(
         State vector of the airframe.
     rows : (6, n) float64
         From :func:`tip_output_matrix`.
-    state : (n,) float64
-        State vector.
-    covariance : (n, n) float64
-        Of the state, given the bias parameters.
-    bias_sensitivity : (n, c) float64
-        Derivative of the state by the bias parameters.
+    smoothed : SmoothedState
+        State at the instant, given the bias parameters.
     bias_parameters : (c,) float64
         Estimates.
     bias_parameter_covariance : (c, c) float64
@@ -112,15 +106,15 @@ def tip_estimate(
     -------
     TipEstimate
     """
-    factor = slope_factor_jacobian(layout, state)
-    values = rows @ state
+    factor = slope_factor_jacobian(layout, smoothed.state)
+    values = rows @ smoothed.state
     values[4:] += factor @ bias_parameters
-    bias_jacobian = rows @ bias_sensitivity
+    bias_jacobian = rows @ smoothed.bias_sensitivity
     bias_jacobian[4:] += factor
-    total = rows @ covariance @ rows.T + bias_jacobian @ bias_parameter_covariance @ bias_jacobian.T
+    total = rows @ smoothed.covariance @ rows.T + bias_jacobian @ bias_parameter_covariance @ bias_jacobian.T
     mean = 0.5 * (rows[4] + rows[5])
     by_bias: Floats = 0.5 * (bias_jacobian[4] + bias_jacobian[5])
-    slow = _variance_by_biases(covariance, mean, layout.bias_states) + float(
+    slow = _variance_by_biases(smoothed.covariance, mean, layout.bias_states) + float(
         by_bias @ bias_parameter_covariance @ by_bias
     )
     return TipEstimate(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))), by_bias)

@@ -304,6 +304,12 @@ class WingTracker:
             axes=tuple(self._streams[station].axes for station in heard),
         )
 
+    def bias_parameters(self) -> dict[str, tuple[float, float]]:
+        """Estimate and sigma of every bias parameter (``states.StateLayout``), as deviations from the airframe's."""
+        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance))
+        estimates = zip(self._kalman.bias_parameters.tolist(), sigma.tolist(), strict=True)
+        return dict(zip(self._layout.bias_parameters, estimates, strict=True))
+
     def _alive(self, station: Station) -> bool:
         """Whether a station has sent lately."""
         newest = self._streams[station].newest_ns
@@ -368,13 +374,7 @@ class WingTracker:
         kalman, fraction = self._kalman, into_ns / self._step_ns
         smoothed = smooth_between(kalman, int(step), fraction)
         estimate = tip_estimate(
-            self._layout,
-            self._rows,
-            smoothed.state,
-            smoothed.covariance,
-            smoothed.bias_sensitivity,
-            kalman.bias_parameters,
-            kalman.bias_parameter_covariance,
+            self._layout, self._rows, smoothed, kalman.bias_parameters, kalman.bias_parameter_covariance
         )
         return Deflection(
             t_host_ns=t_host_ns,
