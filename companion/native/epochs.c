@@ -201,29 +201,30 @@ static void mean_before(const double *values, int64_t width, const motion *m, in
         out[c] = count ? out[c] / (double)count : values[k * width + c];
 }
 
-/* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is the mean of some epochs
- * before: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
+/* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is `before`, the mean of
+ * some epochs: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
  * the root had it in the mean of those epochs: the tip's own axes carry vibration that is coherent with the row's. */
-static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, double gain, const int64_t *columns)
+static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, const double *before, double moment,
+                       double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    double rigid[3], root[CHANNELS];
-    mean_before(m->rigid[side], 3, m, k, rigid);
+    double root[CHANNELS];
     mean_before(m->smooth, CHANNELS, m, k, root);
     const double *now = m->rigid[side] + 3 * k, *turn = root + ROLL;
-    double y = tip[1], z = tip[2], scaled_y = y + rigid[1] - now[1], scaled_z = z + rigid[2] - now[2];
+    double y = tip[1], z = tip[2], scaled_y = y + before[1] - now[1], scaled_z = z + before[2] - now[2];
     double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
     int vertical = Z_LEFT + side, lateral = Y_LEFT + side, roll = P_LEFT + side;
     set(j, vertical, columns[KZ], scaled_z);
+    set(j, M_LEFT + side, columns[KZ], moment);
     set(j, lateral, columns[KZ], -scaled_y * gain);
     set(j, lateral, columns[KY], scaled_y * gain);
     set(j, roll, columns[KP], scaled_p);
-    set(j, vertical, columns[MX], -rigid[1]);
+    set(j, vertical, columns[MX], -before[1]);
     set(j, lateral, columns[MX], z * gain);
-    set(j, vertical, columns[MY], rigid[0]);
+    set(j, vertical, columns[MY], before[0]);
     set(j, roll, columns[MY], -turn[2]);
-    set(j, lateral, columns[MZ], -rigid[0] * gain);
+    set(j, lateral, columns[MZ], -before[0] * gain);
     set(j, roll, columns[MZ], turn[1]);
     set(j, vertical, columns[TAU], -rate[2]);
     set(j, lateral, columns[TAU], -(rate[1] - y * rate[2] * fabs(gain) * sign_of(z)) * gain);
@@ -297,7 +298,8 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
 }
 
 /* Rows of one tip in epoch k, and the terms of their linearisation. */
-static void tip_rows(const averages *station, const motion *m, int64_t k, int side, const epoch_columns *out)
+static void tip_rows(const averages *station, const motion *m, int64_t k, int side, const double *before,
+                     const epoch_columns *out)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rigid = m->rigid[side] + 3 * k;
     const uint8_t *present = out->present + k * ROWS;
@@ -306,7 +308,7 @@ static void tip_rows(const averages *station, const motion *m, int64_t k, int si
     rows[M_LEFT + side] = moment - m->step_s / 12.0 * m->d_rigid[side][3 * k + 2];
     rows[Y_LEFT + side] = atan((tip[1] - rigid[1]) * gain);
     rows[P_LEFT + side] = tip[3];
-    out->vertical[2 * k + side] = present[Z_LEFT + side] ? tip[2] : 0.0;
+    out->vertical[2 * k + side] = present[Z_LEFT + side] ? tip[2] + before[2] - rigid[2] : 0.0;
     out->lateral[2 * k + side] = present[Z_LEFT + side] ? rigid[1] * (1.0 - 2.0 * side) : 0.0;
     out->slope_rate_gain[2 * k + side] =
         present[Y_LEFT + side] ? -moment * m->step_s * fabs(gain) * sign_of(tip[2]) : 0.0;
@@ -322,9 +324,11 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     jacobian j = {out->sensitivity + k * ROWS * out->parameters, present, out->parameters};
     find_present(station, m, k, present);
     for (int side = 0; side < 2; side++) {
+        double before[3]; /* the rigid force without this epoch's noise of the root, which is in the rows too */
+        mean_before(m->rigid[side], 3, m, k, before);
         gain[side] = lateral_gain(m, k, side, present);
-        tip_rows(station, m, k, side, out);
-        tip_errors(&j, m, k, side, gain[side], columns + (1 + side) * ERRORS);
+        tip_rows(station, m, k, side, before, out);
+        tip_errors(&j, m, k, side, before, station[1 + side].moment[k], gain[side], columns + (1 + side) * ERRORS);
         root_errors(&j, m, k, side, gain[side], columns);
         if (!present[Y_LEFT + side])
             gain[side] = 0.0;

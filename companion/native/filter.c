@@ -8,7 +8,7 @@
 #include "history.h"
 #include "linear.h"
 
-#define LOAD_FACTOR_TIME_S 0.1  /* kernels/arrays.py has the reasons of all of these */
+#define LOAD_FACTOR_TIME_S 1.0  /* kernels/arrays.py has the reasons of all of these */
 #define GATE_SIGMAS 5.0
 #define LOAD_VARIANCE_RATIO 2.0
 #define MAX_NOISE_INFLATION 1e6
@@ -132,6 +132,18 @@ static void linearise_rows(run *f, int64_t k)
     }
 }
 
+/* Columns of the entries of a row (n,) that are not zero, and these by a sign, into `entry` and `factor`; their count. */
+static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; i < n; i++)
+        if (row[i] != 0.0) {
+            f->entry[count] = i;
+            f->factor[count++] = sign * row[i];
+        }
+    return count;
+}
+
 /* Replace the measurement by its prediction in the sensitivities that contain it. */
 static void regress_on_prediction(run *f, double *out)
 {
@@ -146,18 +158,18 @@ static void regress_on_prediction(run *f, double *out)
             out[at * width + f->regressor_columns[j]] +=
                 f->regressor_signs[j] * f->row_innovation[f->regressor_sources[j]];
     }
-}
-
-/* Columns of the entries of a row (n,) that are not zero, and these by a sign, into `entry` and `factor`; their count. */
-static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
-{
-    int64_t count = 0;
-    for (int64_t i = 0; i < n; i++)
-        if (row[i] != 0.0) {
-            f->entry[count] = i;
-            f->factor[count++] = sign * row[i];
-        }
-    return count;
+    for (int side = 0; side < 2; side++) { /* the vertical force by which a tilt shows is measured too */
+        int64_t at = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
+        if (at < 0)
+            continue;
+        const double *tilt = f->linearisation_rows + side * (f->h.n + 1);
+        double excess = f->linearised[side] * f->row_innovation[Z_LEFT + side], residual = out[at * width];
+        int64_t count = find_entries(f, tilt, -excess, f->h.n + 1);
+        add_selected(out + at * width, width, f->x, f->entry, f->factor, count);
+        out[at * width] = residual;
+        if (roll)
+            out[at * width + roll] -= (1.0 - 2.0 * side) * excess;
+    }
 }
 
 /* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
@@ -175,8 +187,7 @@ static void find_innovation(run *f, int64_t k, double *out)
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
             out[r * width] -= 0.5 * vertical * slope * slope;
-            /* gravity along the lateral axis, by the predicted tilt: the axis itself would have measured it */
-            if (roll && !f->present[k * ROWS + Y_LEFT + side])
+            if (roll) /* of the lateral force the Jacobian has the rigid one: here is what the tilt adds */
                 out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope;
         }
         r = f->position[Y_LEFT + side];

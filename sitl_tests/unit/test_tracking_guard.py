@@ -107,11 +107,11 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
     kalman = state.tracker._kalman
     kalman.reset_bias_parameters([])  # solves, so that all that was gathered is in the answer
     names = kalman.layout.bias_parameters
-    at = names.index("left.kz")
+    at = names.index("left.mx")
     others = [k for k in range(len(names)) if k != at]
     before, sigma = _knowledge(kalman, others), kalman.layout.bias_parameter_sigma[at]
     assert kalman.bias_parameter_covariance[at, at] < 0.9 * sigma**2  # something had been learned
-    kalman.reset_bias_parameters(["left.kz"])
+    kalman.reset_bias_parameters(["left.mx"])
     for old, new in zip(before, _knowledge(kalman, others), strict=True):
         np.testing.assert_allclose(new, old, rtol=1e-6, atol=1e-9 * np.abs(old).max())
     assert kalman.bias_parameters[at] == 0.0

@@ -12,9 +12,10 @@ from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import build_model
 from companion.core.tracking.parameters import ModeParameters, prior_parameters
-from companion.core.tracking.states import ROWS, Y_LEFT, make_layout, make_noise
+from companion.core.tracking.states import ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from companion.records import Floats
 from sitl_tests.reference.kernels import filter_numpy as kernel_numpy
 
 AIRFRAME = load_airframe("nadir-2m")
@@ -138,3 +139,38 @@ def test_numbers_that_have_run_away_stop_the_filter(kernel: object) -> None:
     kalman.covariance[0, 0] = np.inf
     const, model, filter_state, history = _kernel_arguments(kalman)
     assert not kernel.filter_epochs(const, model, epochs, filter_state, history, 0, STEPS, 0)  # type: ignore[attr-defined]
+
+
+TIPS_UP = slice(Z_LEFT, Z_LEFT + 2)
+
+
+def _taught_by_gust(kernel: object, gust_mps2: float) -> tuple[Floats, Floats]:
+    """Innovations (2,) of the vertical rows of one step, and what it teaches the trim and both roll misalignments.
+
+    The tips' trim bend shows them gravity and the gust, nothing else is there.
+    """
+    kalman = _filter()
+    epochs, parameters = _epochs(len(kalman.bias_parameters), 0.0), kalman.layout.bias_parameters
+    present, rows = np.zeros_like(epochs.present), np.zeros_like(epochs.rows)
+    present[:, TIPS_UP], rows[:, TIPS_UP] = True, gust_mps2
+    nothing = {
+        name: np.zeros_like(getattr(epochs, name))
+        for name in ("lateral_mps2", "load_g", "sensitivity", "aliasing_noise", "root_motion_variance")
+    }
+    vertical = np.full_like(epochs.vertical_mps2, -9.80665 + gust_mps2)
+    gusty = epochs._replace(rows=rows, present=present, vertical_mps2=vertical, **nothing)
+    const, model, filter_state, history = _kernel_arguments(kalman)
+    assert kernel.filter_epochs(const, model, gusty, filter_state, history, 0, 1, 0)  # type: ignore[attr-defined]
+    columns = [1 + parameters.index(name) for name in ("trim", "left.mx", "right.mx")]
+    return history.innovation[0, TIPS_UP], filter_state.information[0, columns]
+
+
+@pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
+def test_a_gust_teaches_nothing_of_the_tilt_by_which_its_own_force_is_seen(kernel: object) -> None:
+    """Innovations as large upwards as downwards: their products with the force that holds them would add up."""
+    calm, _ = _taught_by_gust(kernel, 0.0)
+    assert 1e-4 < abs(calm[0]) < 0.01, "gravity along the bent tip"
+    (up, taught_up), (down, taught_down) = (_taught_by_gust(kernel, gust) for gust in (0.05 - calm[0], -0.05 - calm[0]))
+    np.testing.assert_allclose(up, -down, rtol=2e-3)
+    assert np.all(np.abs(taught_up) > 0.0)
+    np.testing.assert_allclose(taught_up, -taught_down, rtol=4e-3)

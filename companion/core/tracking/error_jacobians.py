@@ -16,14 +16,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.tracking.states import P_LEFT, P_ROOT, ROOT_ERRORS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, StateLayout
+from companion.core.tracking.states import (
+    M_LEFT,
+    P_LEFT,
+    P_ROOT,
+    ROOT_ERRORS,
+    SENSOR_ERRORS,
+    Y_LEFT,
+    Z_LEFT,
+    StateLayout,
+)
 from companion.records import Ints
 
 _PLACES = ("root", "left", "right")
 _ERRORS = (*SENSOR_ERRORS, *ROOT_ERRORS)
 EARLIER = 3  # chosen, epochs: past the root's smoothing over three, and most of what the roll rate's estimate remembers
 AVERAGED = 12  # chosen, epochs: 48 ms, in which a shaft's vibration averages out and a manoeuvre hardly changes
-_Z, _Y, _P, _P0 = Z_LEFT, Y_LEFT, P_LEFT, P_ROOT
+_Z, _M, _Y, _P, _P0 = Z_LEFT, M_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
 def error_columns(layout: StateLayout) -> Ints:
@@ -40,9 +49,10 @@ def measured_regressors(layout: StateLayout) -> list[tuple[int, int, int, float]
     """
     regressors: list[tuple[int, int, int, float]] = []
     for side, place in ((0, "left"), (1, "right")):
-        z, y, p = _Z + side, _Y + side, _P + side
+        z, m, y, p = _Z + side, _M + side, _Y + side, _P + side
         for error, row, source, sign in (
             ("kz", z, z, 1.0),
+            ("kz", m, m, 1.0),
             ("kz", y, y, -1.0),
             ("ky", y, y, 1.0),
             ("kp", p, p, 1.0),

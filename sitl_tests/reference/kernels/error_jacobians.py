@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.tracking.error_jacobians import AVERAGED, EARLIER
-from companion.core.tracking.states import P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
 _KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len((*SENSOR_ERRORS, *ROOT_ERRORS)))
@@ -101,8 +101,9 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
     rigid, omega = (_mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
     vertical, lateral, roll = Z_LEFT + side, Y_LEFT + side, P_LEFT + side
-    scaled_y, scaled_z = _with_earlier_rigid(motion, side, 1), _with_earlier_rigid(motion, side, 2)
+    scaled_y, scaled_z = with_earlier_rigid(motion, side, 1), with_earlier_rigid(motion, side, 2)
     _set_column(out, vertical, columns[_KZ], scaled_z)
+    _set_column(out, M_LEFT + side, columns[_KZ], motion.moment[:, side])
     _set_column(out, lateral, columns[_KZ], -scaled_y * gain)
     _set_column(out, lateral, columns[_KY], scaled_y * gain)
     _set_column(out, roll, columns[_KP], p + _earlier_less_present_roll(motion))
@@ -117,7 +118,7 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     _set_column(out, roll, columns[_TAU], -dp)
 
 
-def _with_earlier_rigid(motion: SensedMotion, side: int, axis: int) -> Floats:
+def with_earlier_rigid(motion: SensedMotion, side: int, axis: int) -> Floats:
     """Specific force of a tip whose rigid part is the mean of some epochs before, (n,).
 
     The filter takes the innovation of the row, tip less rigid force, out of the regressor. The root's noise, which is

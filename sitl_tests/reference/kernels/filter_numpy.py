@@ -69,7 +69,9 @@ def _filter_step(
     H_used = H[used, :n]
     HP = H_used @ covariance
     innovation = residual_columns[used] - H[used] @ state_and_sensitivity
-    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias)
+    slope = (model.linearisation_rows @ (state_and_sensitivity @ one_and_bias))[:2]
+    gravity = slope[:, None] * (model.linearisation_rows[:2] @ state_and_sensitivity)
+    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias, slope, gravity)
     row_innovation, HPHT = innovation @ one_and_bias, HP @ H_used.T
     noise_inflation = min(
         1.0
@@ -213,8 +215,7 @@ def _linearise(
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
-        if column and not epochs.present[k, Y_LEFT + side]:
-            # gravity along the lateral axis, by the predicted tilt: the axis itself would have measured it
+        if column:  # of the lateral force the Jacobian has the rigid one: here is what the tilt adds
             residual_columns[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side]
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side in (0, 1) if const.common_bias_column else ():
@@ -258,11 +259,24 @@ def _measurement_noise(
     return out
 
 
-def _regress_on_prediction(const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats) -> None:
-    """Replace the measurement by its prediction in the sensitivities that contain it, in place."""
+def _regress_on_prediction(
+    const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats, slope: Floats, gravity: Floats
+) -> None:
+    """Replace the measurement by its prediction in the sensitivities that contain it, in place.
+
+    ``gravity`` (2, 1 + c) are the columns of the vertical rows by which the vertical force shows the tilt ``slope``
+    (2,), per unit of that force.
+    """
     position = {row: at for at, row in enumerate(used.tolist())}
     rows, columns, sources = const.regressor_rows, const.regressor_columns, const.regressor_sources
     entries = zip(rows.tolist(), columns.tolist(), sources.tolist(), const.regressor_signs, strict=True)
     for row, column, source, sign in entries:
         if row in position and source in position:
             innovation[position[row], column] += sign * row_innovation[position[source]]
+    for side, column in enumerate(const.roll_misalignment_column.tolist()):
+        at = position.get(Z_LEFT + side)
+        if at is None:
+            continue
+        innovation[at, 1:] -= row_innovation[at] * gravity[side, 1:]
+        if column:
+            innovation[at, column] -= (1.0 - 2.0 * side) * slope[side] * row_innovation[at]

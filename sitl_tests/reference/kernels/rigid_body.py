@@ -12,7 +12,12 @@ from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT,
 from companion.core.tracking.streams import CHANNELS, EpochAverages, StreamSamples
 from companion.records import Bools, Floats, Ints
 from companion.units import GRAVITY_MPS2
-from sitl_tests.reference.kernels.error_jacobians import SensedMotion, central_difference, sensitivities
+from sitl_tests.reference.kernels.error_jacobians import (
+    SensedMotion,
+    central_difference,
+    sensitivities,
+    with_earlier_rigid,
+)
 from sitl_tests.reference.kernels.resampling import VERTICAL
 from sitl_tests.reference.kernels.streams import averages
 
@@ -93,6 +98,7 @@ def _rows_and_jacobians(
         np.zeros((n, 2)),
         np.zeros((n, 2)),
     )
+    earlier = [with_earlier_rigid(motion, side, VERTICAL) for side in range(2)]
     for k in range(n):
         for side in range(2):
             force = motion.tip[k, side, 2]
@@ -101,7 +107,7 @@ def _rows_and_jacobians(
             rows[k, Y_LEFT + side] = np.arctan((motion.tip[k, side, 1] - motion.rigid[k, side, 1]) * gains[k, side])
             rows[k, P_LEFT + side] = motion.tip[k, side, 3]
             if present[k, Z_LEFT + side]:
-                vertical_mps2[k, side] = force
+                vertical_mps2[k, side] = earlier[side][k]
                 lateral_mps2[k, side] = motion.rigid[k, side, 1] * (1.0 - 2.0 * side)
             if present[k, Y_LEFT + side]:
                 slope_rate_gain[k, side] = (

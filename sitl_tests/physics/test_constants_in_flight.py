@@ -1,0 +1,27 @@
+"""The constants that a flight teaches, in calm and in strong gusts: as far off as their sigmas say.
+
+``python -m tools.bench world`` judges them over hundreds of flights.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.bench.world_flight import fly
+from tools.bench.world_rows import CampaignRow
+
+pytestmark = pytest.mark.slow
+
+CALM, STRONG = 203, 214  # flights whose gusts bend the tips by 3 and by 22 mm rms
+TIPS = tuple(f"{tip}.{error}" for tip in ("left", "right") for error in ("kz", "mx", "mz"))
+JUDGED = ("trim", "bend_per_g", "slope.symmetric", *TIPS)
+
+
+@pytest.mark.parametrize("sensors", ["6-axis", "vertical"])
+@pytest.mark.parametrize("number", [CALM, STRONG])
+def test_what_a_flight_teaches_of_its_constants_is_within_its_sigmas(number: int, sensors: str) -> None:
+    """Four sigmas; an error that was regressed on itself or a row that ignored its scale gave 5 to 12."""
+    judged = fly(CampaignRow("ideal", "nadir-2m", sensors), number)["constants"]
+    assert {"trim", "bend_per_g", "left.kz"} <= judged.keys()
+    over = {name: (judged[name][0] - judged[name][2]) / judged[name][1] for name in JUDGED if name in judged}
+    assert max(abs(value) for value in over.values()) < 4.0, over
