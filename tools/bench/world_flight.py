@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.pipeline import start, step
+from companion.core.tracking.tracker import WingTracker
 from companion.evaluation.shot_scores import PipelineOutputs, collect
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe, Camera
@@ -41,6 +42,7 @@ from companion.sim.vision.posed_pair import PosedPair
 from companion.sim.vision.scene import PosedCamera
 from companion.sim.vision.scenery import scene_of
 from tools.bench.slow import in_order
+from tools.bench.world_constants import constants
 from tools.bench.world_peers import PEERS, peer_toes
 from tools.bench.world_rows import STRUCK_S, Accident, CampaignRow
 
@@ -95,7 +97,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     shots = list(judged_shots(flight, pair))
     stamped = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
     inputs = list(_too_fast(_lying(in_order(flight, stamped), row.accident), row.accident))
-    outputs = _driven(flight.airframe, inputs)
+    outputs, tracker = _driven(flight.airframe, inputs)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
     peers = peer_toes(flight.airframe, inputs, [entry[:2] for entry in judged], outputs.matches)
@@ -111,6 +113,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
         "judged": [[*entry, *(float(peers[name][i]) for name in PEERS)] for i, entry in enumerate(judged)],
         "withheld": dict(Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)),
         "refused": dict(outputs.rejected),
+        "constants": constants(tracker, flight.airframe, flight.real),
     }
 
 
@@ -152,13 +155,13 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
             entry.sigma_m, float(entry.trusted)]  # fmt: skip
 
 
-def _driven(airframe: Airframe, inputs: list[Record]) -> PipelineOutputs:
+def _driven(airframe: Airframe, inputs: list[Record]) -> tuple[PipelineOutputs, WingTracker]:
     state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
     records: list[Record] = []
     for record in inputs:
         state, outputs = step(state, record)
         records += [record, *outputs] if isinstance(record, MatchSet) else outputs
-    return collect(records)
+    return collect(records), state.tracker
 
 
 # ------------------------------------------------------------------------------------------------ matches
