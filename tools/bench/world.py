@@ -12,7 +12,8 @@ leaves out the share of shots whose stamps are wrong. toe: error of the relative
 shots in the air from 15 s on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published ranges of the whole
 flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the
 estimate where it is trusted, of each peer over the same shots, and of the estimator itself on the same flights without
-vibration and warm-up, told the sensors' noise (the reference).
+vibration and warm-up, told the sensors' noise (the reference). constants: those that the tracker estimates, at the end
+of each flight, error over sigma: mean, rms, and share inside 3 sigma in all flights and by world.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from companion.evaluation.metrics import SETTLED_S, rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
+from tools.bench.world_constants import constants_table
 from tools.bench.world_flight import CampaignTask, fly_task
 from tools.bench.world_peers import PEERS
 from tools.bench.world_rows import AIRFRAMES, SENSORS, CampaignRow, rows
@@ -60,6 +62,7 @@ class Pooled:
     aloft: Floats
     airborne_s: Floats
     reasons: Counter[str]
+    constants: tuple[dict[str, list[float]], ...]
 
     @property
     def flights(self) -> int:
@@ -119,6 +122,7 @@ def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
         np.concatenate(aloft),
         np.concatenate(airborne_s),
         sum((Counter(flown["withheld"]) + Counter(flown["refused"]) for flown in parts), Counter()),
+        tuple(flown.get("constants", {}) for flown in parts),
     )
 
 
@@ -210,7 +214,7 @@ def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
 
 
 def show(groups: list[Pooled]) -> tuple[str, int]:
-    """The tables as text, and how many rows miss a target."""
+    """The tables as text, and how many rows and constants miss a target."""
     head = (
         f"{'world or accident':40s} {'airframe':11s} {'axes':8s} {'fl.':>3s} {'trusted':>7s} {'95 %':>11s} {'toe':>6s}"
         f" {'NEES':>6s} {'1s':>4s} {'2s':>4s} {'3s':>5s} {'publ.':>6s} {'wrong':>5s} {'>20%':>4s}  misses"
@@ -240,11 +244,12 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
         if not group.row.accident.name:
             others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS)
             peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {ratio:7.2f} {others}")
-    lines += ["", fast, *peers, "", "why shots were withheld or refused, per flight:"]
+    constants, off = constants_table((group.row.world, each) for group in groups for each in group.constants)
+    lines += ["", fast, *peers, "", *constants, "", "why shots were withheld or refused, per flight:"]
     for group in groups:
         reasons = ", ".join(f"{reason} {count / group.flights:.0f}" for reason, count in group.reasons.most_common(6))
         lines.append(f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s} {reasons}")
-    return "\n".join(lines), failures
+    return "\n".join(lines), failures + off
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -52,24 +51,26 @@ def _modal(tracker: WingTracker, real: TruthAirframe) -> dict[str, list[float]]:
     return judged
 
 
-def constants_table(flights: Iterable[dict[str, Any]]) -> tuple[list[str], int]:
-    """Lines of the table over all flights, and how many constants are inside 3 sigma too seldom."""
+def constants_table(flights: Iterable[tuple[str, dict[str, list[float]]]]) -> tuple[list[str], int]:
+    """Lines of the table over flights, each its world and constants, and how many are inside 3 sigma too seldom."""
     over: defaultdict[str, list[float]] = defaultdict(list)
-    for flown in flights:
-        for name, (estimate, sigma, true) in flown.get("constants", {}).items():
+    worlds: defaultdict[str, list[str]] = defaultdict(list)
+    for world, constants_of_flight in flights:
+        for name, (estimate, sigma, true) in constants_of_flight.items():
             over[_either_tip(name)].append((estimate - true) / sigma)
-    lines = [
-        f"{'constant at the end of a flight':40s} {'flights':>8s} {'mean':>6s} {'rms':>5s} {'inside 3 sigma':>15s}"
-    ]
-    failures = 0
+            worlds[_either_tip(name)].append(world)
+    columns = sorted({world for of in worlds.values() for world in of})
+    head = f"{'constant at the end of a flight, over sigma':44s} {'values':>6s} {'mean':>6s} {'rms':>6s} {'in 3':>7s}"
+    lines, failures = [head + "".join(f" {world:>7s}" for world in columns)], 0
     for name, values in over.items():
-        error = np.array(values)
-        inside = float(np.mean(np.abs(error) <= 3.0))
-        failures += inside < _INSIDE_3_SIGMA
-        verdict = "" if inside >= _INSIDE_3_SIGMA else "  missed"
+        error, of = np.array(values), np.array(worlds[name])
+        within = np.abs(error) <= 3.0
+        missed = bool(within.mean() < _INSIDE_3_SIGMA)
+        failures += missed
+        shares = "".join(f" {100 * within[of == world].mean():6.1f}%" for world in columns)
         lines.append(
-            f"{name:40s} {len(error):8d} {error.mean():6.2f} {np.sqrt(np.mean(error**2)):5.2f}"
-            f" {100 * inside:11.1f}%{verdict}"
+            f"{name:44s} {len(error):6d} {error.mean():6.2f} {np.sqrt(np.mean(error**2)):6.2f}"
+            f" {100 * within.mean():6.1f}%{shares}{'  missed' if missed else ''}"
         )
     return lines, failures
 

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from companion.core.pipeline import start, step
-from companion.core.tracking.tracker import WingTracker
 from companion.evaluation.shot_scores import PipelineOutputs, collect
 from companion.evaluation.true_geometry import TrueGeometry
-from companion.params.airframe import Airframe, Camera
+from companion.params.airframe import Camera
 from companion.params.settings import Settings
 from companion.records import (
     Bools,
@@ -31,6 +30,7 @@ from companion.records import (
     Record,
     Side,
     Station,
+    Tick,
     VehicleState,
 )
 from companion.sim.flight.flight import Flight, build_flight, undisturbed
@@ -47,7 +47,7 @@ from tools.bench.world_peers import PEERS, peer_toes
 from tools.bench.world_rows import STRUCK_S, Accident, CampaignRow
 
 _S = 1_000_000_000
-_SHOT_NS, _VISION_NS = 150_000_000, 60_000_000
+_SHOT_NS, _VISION_NS, _TICK_NS = 150_000_000, 60_000_000, 20_000_000
 _FEATURES, _MATCH_PX, _BLUNDERS, _BLUNDER_PX = 400, 0.1, 0.05, 3.0
 _MATCHES = 150
 _FADED = 0.3  # contrast over meadow's below which features are lost in proportion: the matcher's least gradient
@@ -97,7 +97,8 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     shots = list(judged_shots(flight, pair))
     stamped = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
     inputs = list(_too_fast(_lying(in_order(flight, stamped), row.accident), row.accident))
-    outputs, tracker = _driven(flight.airframe, inputs)
+    lands_s = flight.plan.rolls_on_ground[1].from_s if flight.plan.rolls_on_ground else flight.duration_s
+    outputs, learned = _driven(flight, inputs, HOST_EPOCH_NS + round(lands_s * _S) - _TICK_NS)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
     peers = peer_toes(flight.airframe, inputs, [entry[:2] for entry in judged], outputs.matches)
@@ -108,12 +109,12 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
         "seed": row.seed(number),
         "shot_s": _SHOT_NS / _S,
         "lift_off_s": flight.plan.rolls_on_ground[0].until_s if flight.plan.rolls_on_ground else 0.0,
-        "touch_down_s": flight.plan.rolls_on_ground[1].from_s if flight.plan.rolls_on_ground else flight.duration_s,
+        "touch_down_s": lands_s,
         "columns": [*_COLUMNS, *PEERS],
         "judged": [[*entry, *(float(peers[name][i]) for name in PEERS)] for i, entry in enumerate(judged)],
         "withheld": dict(Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)),
         "refused": dict(outputs.rejected),
-        "constants": constants(tracker, flight.airframe, flight.real),
+        "constants": learned,
     }
 
 
@@ -155,13 +156,17 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
             entry.sigma_m, float(entry.trusted)]  # fmt: skip
 
 
-def _driven(airframe: Airframe, inputs: list[Record]) -> tuple[PipelineOutputs, WingTracker]:
-    state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
+def _driven(flight: Flight, inputs: list[Record], lands_ns: int) -> tuple[PipelineOutputs, dict[str, list[float]]]:
+    """Outputs of the whole pipeline, and the constants as it has them when the flight ends."""
+    state = start(flight.airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
     records: list[Record] = []
+    learned: dict[str, list[float]] = {}
     for record in inputs:
         state, outputs = step(state, record)
         records += [record, *outputs] if isinstance(record, MatchSet) else outputs
-    return collect(records), state.tracker
+        if not learned and isinstance(record, Tick) and record.now_host_ns >= lands_ns:
+            learned = constants(state.tracker, flight.airframe, flight.real)
+    return collect(records), learned
 
 
 # ------------------------------------------------------------------------------------------------ matches
