@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from companion.core.pipeline import start, step
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.states import P_LEFT
 from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -117,6 +120,31 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
     assert kalman.bias_parameters[at] == 0.0
     np.testing.assert_allclose(kalman.bias_parameter_covariance[at, others], 0.0, atol=1e-12 * sigma)
     assert kalman.bias_parameter_covariance[at, at] == pytest.approx(sigma**2)
+
+
+def _taught(sends: str, shaken: bool) -> dict[str, float]:
+    """Bias parameters by an information that tells of each of them; the left tip's roll rate as vibration makes it."""
+    base = load_airframe("nadir-2m")
+    left, right = (dataclasses.replace(tip, sends=sends) for tip in (base.left, base.right))
+    tracker = WingTracker(dataclasses.replace(base, left=left, right=right), Settings())
+    kalman, noise = tracker._kalman, tracker._row_noise
+    noise.variance[P_LEFT] *= 10.0 if shaken else 1.0
+    kalman.take_noise(noise)
+    sigma = np.concatenate([[1.0], kalman.layout.bias_parameter_sigma])
+    kalman._filter_state.information[:] = np.diag(sigma**-2.0)
+    kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = -1.0 / sigma[1:]
+    kalman.reset_bias_parameters([])
+    return {name: estimate for name, (estimate, _) in tracker.bias_parameters().items()}
+
+
+def test_no_scale_is_learned_of_a_tip_that_is_shaken_or_could_not_show_it() -> None:
+    calm, shaken, mute = _taught("xyzpqr", shaken=False), _taught("xyzpqr", shaken=True), _taught("z", shaken=False)
+    scales = {"left.kz", "left.ky", "left.kp"}
+    assert all(calm[name] != 0.0 for name in {*scales, "right.kz", "slope.second_symmetric"})
+    unknown = {name for name, estimate in shaken.items() if estimate == 0.0 and calm[name] != 0.0}
+    assert unknown >= scales
+    assert {name.split(".")[0] for name in unknown - scales} == {"slope"}, "of the second modes"
+    assert mute["left.kz"] == mute["right.kz"] == 0.0 != mute["trim"]
 
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:

@@ -67,9 +67,10 @@ def test_noise_of_one_sensor_is_not_anothers() -> None:
     """Beside a noisy left slope the right one, correlated with it through the root, keeps its own noise."""
     innovation = white(np.sqrt(5.0)) + shared(1.0)
     innovation[:, Y_LEFT] += 40.0 * np.random.default_rng(5).standard_normal(len(innovation))
-    ratio = learned(innovation).ratio
-    assert ratio[0] == pytest.approx(20.0, rel=0.2)
-    assert np.all(ratio[1:] < 1.3)
+    noise = learned(innovation)
+    assert noise.ratio[0] == pytest.approx(20.0, rel=0.2)
+    assert np.all(noise.ratio[1:] < 1.3)
+    assert noise.shaken == (True, False)
 
 
 def test_the_vertical_rows_are_the_gusts() -> None:

@@ -29,6 +29,7 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated. The tips' stamps are
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
+_SCALES = ("kz", "ky", "kp")
 _WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # first-order processes
 
 
@@ -69,8 +70,9 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
-        estimated = np.array([name not in _CONSIDERED for name in layout.bias_parameters], dtype=bool)
-        self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
+        self._estimated, self._considered = np.arange(c), np.arange(0)
+        self._consider(_CONSIDERED)
+        self._consider_scales(layout.mute_tips)
         wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
         self._wandering = np.array(wandering, np.int64)
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
@@ -107,6 +109,24 @@ class SeparatedBiasFilter:
             )
         return other
 
+    def _consider(self, names: Collection[str]) -> None:
+        """Leave bias parameters at their priors from here on, and what is not known of them in the covariance."""
+        considered = [at for at, name in enumerate(self.layout.bias_parameters) if name in names]
+        self._considered = np.union1d(self._considered, considered).astype(np.int64)
+        self._estimated = np.setdiff1d(self._estimated, considered)
+
+    def _consider_scales(self, tips: tuple[bool, bool]) -> None:
+        """Consider the scales of these tips, and the slopes of the second modes, which are as high as vibration.
+
+        Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
+        contradict each other by it, and every scale that is learned from these comes out small.
+        """
+        names = [
+            f"{place}.{scale}" for place, tip in zip(("left", "right"), tips, strict=True) if tip for scale in _SCALES
+        ]
+        seconds = [f"slope.{name}" for family in self.layout.families for name in family.names[1:]]
+        self._consider([*names, *seconds] if names else [])
+
     def reset_bias_parameters(self, names: Collection[str]) -> None:
         """Return bias parameters to their priors: from here on they are others.
 
@@ -116,7 +136,7 @@ class SeparatedBiasFilter:
         for name in names:
             column = self.layout.column(name)
             if column is not None:
-                self._marginalise(column, considered=name in _CONSIDERED)
+                self._marginalise(column, considered=column - 1 in self._considered)
         self._solve_bias_parameters()
 
     def _marginalise(self, column: int, *, considered: bool) -> None:
@@ -202,6 +222,7 @@ class SeparatedBiasFilter:
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
+        self._consider_scales(noise.shaken)
 
     def run(self, epochs: Epochs) -> None:
         """Filter a run of epochs."""

@@ -21,7 +21,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import plain, row_medians
 from companion.core.tracking.nonnegative import nonnegative_least_squares
-from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, SensorNoise
+from companion.core.tracking.states import P_LEFT, P_ROOT, ROWS, Y_LEFT, SensorNoise
 from companion.native.library import ARRAY, kernel
 from companion.records import Bools, Floats, Ints
 from companion.units import GRAVITY_MPS2
@@ -33,6 +33,9 @@ _CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
 _MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others shows where it is large
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
+_SHAKEN_RATIO = (
+    1.5  # chosen: sensors as believed come out at 1.01 at most, broadband vibration at 4 to 40 (bench world)
+)
 _LEARNED = range(Y_LEFT, ROWS)  # rows
 
 _terms = kernel("noise_terms", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
@@ -68,6 +71,13 @@ class RowNoise:
     def ratio(self) -> Floats:
         """Standard deviation of each learned source over the believed one, (6,)."""
         return np.asarray(np.sqrt(self._all() / self._believed))
+
+    @property
+    def shaken(self) -> tuple[bool, bool]:
+        """Whether the left and the right tip show more noise than their sensors have, as vibration does."""
+        lateral_and_roll = self.ratio[: P_ROOT - Y_LEFT].reshape(2, 2)
+        left, right = np.any(lateral_and_roll > _SHAKEN_RATIO, axis=0).tolist()
+        return left, right
 
     def take_vertical(self, tips: float, root: float) -> None:
         """Take the vertical axes' noise as the spectral fit has it, as ratios of variance to the believed one."""

@@ -137,6 +137,13 @@ class StateLayout:
         return terms
 
     @property
+    def mute_tips(self) -> tuple[bool, bool]:
+        """Whether the left and right tip send neither lateral axis nor roll rate, which would show vibration."""
+        rows = {row for row, _ in self.row_bias_states}
+        left, right = (rows.isdisjoint((lateral, lateral + P_LEFT - Y_LEFT)) for lateral in (Y_LEFT, Y_RIGHT))
+        return left, right
+
+    @property
     def bias_states(self) -> slice:
         """All drifting biases."""
         return slice(self.roll_accel + 1, self.size)
