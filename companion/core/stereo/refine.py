@@ -22,7 +22,7 @@ from companion.records import Bools, Bytes, Floats, Ints
 Patches = npt.NDArray[np.float32]
 
 HALF_WINDOW = 10  # px; 21 x 21 patches: texture enough, surfaces still nearly flat (choice)
-_WINDOW = 2 * HALF_WINDOW + 1
+_WINDOW = 2 * HALF_WINDOW + 1  # derived: pixels of a patch's side
 _TAPS = 6  # per axis, of Keys' fourth-order interpolation
 _BEFORE = 2  # taps before the pixel that the coordinate falls into
 _CONVERGED_PX = 0.02  # a last step beyond it would be seen in the range

@@ -18,7 +18,7 @@ from companion.core.trigger.latency import MOST_LATENCY_NS
 from companion.params.airframe import Airframe, Camera
 from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot
 
-WRAP_NS = 2**32 * 1000
+WRAP_NS = 2**32 * 1000  # by definition: 32 bits of microseconds
 _PIN_SIGMA_NS = 50e3
 """From the shutter to the stamp of the pin's interrupt."""
 _NEAR_NS = 20_000_000
