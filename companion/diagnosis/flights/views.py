@@ -18,7 +18,7 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
-_LAGS_S = 1.0
+_LAGS_S = 1.0  # chosen: five periods at 5 Hz, within which a forgotten mode shows
 _CELLS = 13  # of a map, odd so that one stands at zero
 _REACH = 2.2  # rms
 _AMPLITUDE_BINS = 8  # points of a backbone, of equally many samples (choice)

@@ -38,8 +38,8 @@ _DEEP = 40  # steps of a fit that decides
 _QUICK = 10  # steps of a fit that ranks
 _FOLD = 4  # steps from the fit on all blocks, which is near
 _RINGS = 0.15  # a damping ratio above that is no mode
-_BLOCK_S = 1.0
-_GUARD_S = 0.1
+_BLOCK_S = 1.0  # chosen: long beside a period, short beside a recording: many blocks to fold
+_GUARD_S = 0.1  # chosen: a tenth of a block on either side, so that neighbours share no error
 
 
 @dataclass(frozen=True, slots=True)

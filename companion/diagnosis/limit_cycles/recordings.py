@@ -41,7 +41,7 @@ _FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed
 _FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping
 _SLOWEST_MPS = 0.1  # below, the air does nothing
 _PER = " per rms of the airspeed"
-_TWO_PI = 2.0 * np.pi
+_TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ _NEARLY = 0.5  # nats predicted by a step that none follows, below which the top
 _TRIES = 9  # of one step, each more damped than the last
 _DAMPED_TRIES = 2  # then the step is shortened as well
 _LEAST_LONGER, _LONGEST = 1.2, 3.0  # times a step
+# numerical: of Levenberg: first damping, factors of it, and where none is left
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
 _FARTHEST = 3.0  # prior sigmas in one step
 State = TypeVar("State")
