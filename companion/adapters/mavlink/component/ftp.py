@@ -20,7 +20,7 @@ from companion.rate_limiter import RateLimiter
 _HEAD = struct.Struct("<HBBBBBBI")
 _DATA_BYTES = 239  # payload less the FTP header (MAVLink FTP protocol)
 _PAYLOAD_BYTES = 251  # payload of FILE_TRANSFER_PROTOCOL (MAVLink common.xml)
-_PACE_NS = 10_000_000
+_PACE_NS = 10_000_000  # chosen: 24 kB/s at most, a quarter of a 921,600 baud line
 _MOST_CLIENTS = 4  # bound of memory: more ground stations than a vehicle has
 _MOST_WAITING = 16  # bound of memory
 _BURST_PACKETS = 40  # a burst of 9.6 kB: 0.4 s at our pace, then the client asks on

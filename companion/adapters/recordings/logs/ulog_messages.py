@@ -27,7 +27,7 @@ _FORMAT, _DATA, _PARAMETER, _ADD, _DROPOUT, _FLAGS = b"FDPAOB"
 _CANDIDATE = re.compile(rb"(?=[\x00-\xff]{2}[" + _KINDS + rb"])", re.DOTALL)
 _CHAIN = 5  # messages in a row that prove a place behind damage
 _LONG = 1000  # bytes: few true messages are longer
-_MOST_UNKNOWN_BYTES = 10_000
+_MOST_UNKNOWN_BYTES = 10_000  # chosen: a message of a later version is hardly longer
 _MOST_BYTES = 65_535  # the size of a message is a uint16 (PX4's ULog format)
 _MOST_NESTED = 8  # depth of types within types
 _MOST_ELEMENTS = 64  # of an array that is given as columns

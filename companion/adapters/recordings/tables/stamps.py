@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.records import Floats
 
-_LATTICES_S = (0.1, 0.01, 0.001, 1e-4, 1e-5)
+_LATTICES_S = (0.1, 0.01, 0.001, 1e-4, 1e-5)  # convention: programs round times to whole decimals
 _ON_LATTICE = 1e-3  # of the lattice: what decimal fractions and sums of them are off
 _HARMLESS = 0.02  # of a period: finer rounding is left alone
 _FIRST = 32  # samples that are put on a line first
