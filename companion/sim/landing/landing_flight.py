@@ -34,7 +34,7 @@ GUST_WIND_MPS = 6.0
 
 _STEPS = PERIOD_NS // STEP_NS
 _GUST_HEIGHT_M = 30.0  # for which the Dryden scales are taken
-_AFTER_TOUCH_S, _AFTER_GO_AROUND_S = 1.0, 3.0
+_AFTER_TOUCH_S, _AFTER_GO_AROUND_S = 1.0, 3.0  # chosen: enough of the roll-out, or of the climb, to be seen
 _SPARE_S = 1.0  # of room behind the longest flight
 
 

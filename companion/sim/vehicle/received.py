@@ -11,7 +11,7 @@ from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.wire import AUTOPILOT_ID, SYSTEM_ID
 
 _TIMEOUT_NS = 500_000_000  # ArduPilot's AP_RANGEFINDER_MAVLINK_TIMEOUT_MS
-_CENTIMETRE_M = 0.01
+_CENTIMETRE_M = 0.01  # by definition
 _SECTORS = 72  # OBSTACLE_DISTANCE.distances
 _UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
 _BODY_FRD = 12  # MAV_FRAME_BODY_FRD

@@ -12,9 +12,10 @@ from companion.core.stereo.geometry import Lens
 from companion.records import Bools, Floats, Ints
 from companion.sim.vision.texture import Image32
 
-NODES = (24, 32)
+NODES = (24, 32)  # chosen: rows and columns of cells, 20 pixels of a VGA image, in which lens and pose change little
+# numerical: within one exposure a pose is a parabola, over a rolling read-out of higher order
 _GLOBAL_POSES, _ROLLING_POSES = 3, 7
-_INSTANT_NS = 100
+_INSTANT_NS = 100  # numerical: no wing moves in it, and one pose stands for all
 
 
 @dataclass(frozen=True, slots=True)
