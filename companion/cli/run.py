@@ -26,7 +26,7 @@ from companion.records import Record, TriggerLatency
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 
-_KEEP_NS = 30_000_000_000
+_KEEP_NS = 30_000_000_000  # chosen: a crash loses half a minute of learning, and the card is rarely written
 _GB = 1e9  # bytes
 
 

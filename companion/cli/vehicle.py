@@ -25,7 +25,7 @@ from companion.sim.vision.scenery import scene_of
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
 _WAIT_S = 600.0  # somebody types the other command meanwhile
-_OPENING_S = 5.0
+_OPENING_S = 5.0  # chosen: longer than a connection takes; a stuck one holds the end up no longer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

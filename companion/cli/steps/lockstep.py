@@ -29,7 +29,7 @@ from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
 from companion.sim.vehicle.world import World, WorldOptions
 from companion.sim.vision.cameras import Shutters
 
-READOUT_NS = 6_000_000
+READOUT_NS = 6_000_000  # convention: the simulated cameras' own (sim/vision/camera_server.py)
 MATCHING_NS = 80_000_000
 """What a small companion computer may take for a pair; a desktop core takes 30 to 35 ms for 640 x 480."""
 FIRE_LATE_NS = 8_000
