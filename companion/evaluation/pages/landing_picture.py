@@ -17,7 +17,7 @@ _LEGEND = (
     "lines: paths flown; dots: the range finder's readings; o the flare begins, x wheels touch, ^ goes around; "
     "the flare begins where the corrected height is two seconds of the sink rate"
 )
-_HIGHEST_M = 70.0
+_HIGHEST_M = 70.0  # chosen: the level leg before the slope, and room above it
 _SHOWN_M = (-640.0, 110.0)  # along the runway, from the landing point
 
 
