@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.sim.vehicle.wire import FrameSender
 
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_RATE_NS = 100_000_000  # chosen: ten ranges a second, a rangefinder's usual rate
+_RATE_NS = 100_000_000  # chosen: the default of OUT_RATE
 _BEAT_NS = 1_000_000_000  # convention: heartbeats come once a second (MAVLink)
 _ALIVE, _UNTRUSTED = 90, 1  # convention: 1 of signal_quality is "invalid", 100 perfect (MAVLink common.xml)
 _BASELINE_M = 1.98  # airframe nadir-2m
