@@ -23,7 +23,8 @@ _SMOOTHING = 15  # bins of the spectrum that are averaged
 GVT_BAND_HZ = (8.5, 10.2)  # chosen: holds the first symmetric bending of every run and no other mode
 _GVT_RUNS = 10  # roving runs in the published data set, five a side
 _GVT_RATE_HZ = 2000  # convention: rate of the published data set
-_LBF_PER_VOLT, _G_PER_VOLT = 1.0 / 0.4684, 1.0 / 1.028  # convention: 0.4684 V/lbf and 1.028 V/g are stated with the data set
+# convention: 0.4684 V/lbf and 1.028 V/g, stated with the data set
+_LBF_PER_VOLT, _G_PER_VOLT = 1.0 / 0.4684, 1.0 / 1.028
 # x in inches, positive to the left wing, of leading (even index) and trailing edge points, from the centre outward
 _GVT_X_IN = (17.87, 16.00, 27.14, 25.27, 36.42, 34.54, 45.69, 43.81, 54.96, 53.09)
 # along the flow at the outermost trailing edge point, where the leading edge runs from (45.69, 30.27) to (54.96, 34.01)
