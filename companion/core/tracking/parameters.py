@@ -14,9 +14,10 @@ from companion.core.tracking.states import ModeFamily
 from companion.params.airframe import Gust, Mode, Uncertain
 from companion.records import Floats, Ints
 
-FIRST_PARAMETERS, FURTHER_PARAMETERS = 5, 4  # of a family's first mode with the gust's corners, and of each further one
+# of a family's first mode with the gust's corners, and of each further one (by definition)
+FIRST_PARAMETERS, FURTHER_PARAMETERS = 5, 4
 FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2 = range(FIRST_PARAMETERS)  # a further mode has the first three as well
-COHERENCE = 3  # of a further mode, behind its load
+COHERENCE = 3  # of a further mode, behind its load (by definition)
 _FIRST_LIMITS = ([0.2, 1e-3, 1e-12, 0.05, 0.05], [200.0, 0.5, 1e6, 2000.0, 2000.0])
 _FURTHER_LIMITS = ([0.5, 2e-3, 1e-14, 0.07], [400.0, 0.12, 1e5, 14.0])
 

@@ -13,8 +13,8 @@ from companion.core.wing.samples import SampleDefect, lattice_step
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
-_FEWEST = 8  # samples at the limit
-_PILE = 4.0  # times what a smooth tail has there
+_FEWEST = 8  # samples at the limit (choice)
+_PILE = 4.0  # times what a smooth tail has there (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ from companion.core.wing.samples import CERTAIN, SampleDefect, evenly_stamped, s
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
-_LOST = 0.005  # share of samples
-_LONGEST_LOSS = 10.0  # samples
-_WANDERING = 0.15  # of a period
-_FINE = 0.8  # of all values are distinct where none is rounded
-_SHARED = 0.1  # of the stamps
-_MEAN_OF = 65  # stamps
+_LOST = 0.005  # share of samples (choice)
+_LONGEST_LOSS = 10.0  # samples (choice)
+_WANDERING = 0.15  # of a period (choice)
+_FINE = 0.8  # of all values are distinct where none is rounded (choice)
+_SHARED = 0.1  # of the stamps (choice)
+_MEAN_OF = 65  # stamps (choice)
 
 
 @dataclass(frozen=True, slots=True)
