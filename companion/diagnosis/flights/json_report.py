@@ -16,8 +16,8 @@ from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.recordings import Cause
 
 DISTANCES_M = (20.0, 60.0, 100.0)  # chosen: a landing's end, the paper's far target, and beyond
-FORMAT = 1  # version of the JSON
-_SHOWN_CHECKS = 12  # of the failed checks
+FORMAT = 1  # version of the JSON (convention)
+_SHOWN_CHECKS = 12  # of the failed checks (choice)
 
 
 def as_json(

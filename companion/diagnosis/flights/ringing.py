@@ -20,9 +20,9 @@ from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.normal_scores import normal_score
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
-_TOGETHER = 3.5  # sigmas of the correlation of neighbours
-_LAGS = 3  # exposures apart
-_FEWEST = 20  # exposures
+_TOGETHER = 3.5  # sigmas of the correlation of neighbours (choice)
+_LAGS = 3  # exposures apart (choice)
+_FEWEST = 20  # exposures (choice)
 
 
 def with_best_trials(
