@@ -29,8 +29,8 @@ _UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter i
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
-_MOST_G = 3.0  # on average
-_FEWEST = 100  # samples that gravity is judged by
+_MOST_G = 3.0  # on average (choice)
+_FEWEST = 100  # samples that gravity is judged by (choice)
 RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
 
 

@@ -15,7 +15,7 @@ from companion.adapters.recordings.tables.units import unit_of
 
 README = "README.txt"
 _FIRST_WORDS = "CSV tables that spanwise convert wrote"
-_WIDTH = 100  # letters of a line
+_WIDTH = 100  # letters of a line (choice)
 _UNITS = {"hz": "Hz", "mps": "m/s", "mps2": "m/s^2", "radps": "rad/s", "count": ""}  # as they are written
 _TIED = "\N{NO-BREAK SPACE}"  # between a name and its unit, which stay on a line
 _FEW = 3  # entries of an array that are listed (choice)
