@@ -20,7 +20,7 @@ STEP_NS = 1_000_000  # chosen: fifty knots of the period at 20 Hz; cubics betwee
 
 # columns of a knot: position (NED), velocity (NED), roll pitch yaw, body rate, modal coordinates
 POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, None))
-COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow
+COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow (by definition)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from companion.units import GRAVITY_MPS2
 
 HOME_AMSL_M = 440.0
-"""Differs from zero so that a script that mixes up heights above sea and above home is found out."""
+"""Differs from zero so that a script that mixes up heights above sea and above home is found out (choice)."""
 
 _RTL_HEIGHT_M = 100.0  # ArduPlane's default height of a return (RTL_ALTITUDE)
 _ORBIT_M = 60.0  # ArduPlane's default radius (WP_LOITER_RAD)
