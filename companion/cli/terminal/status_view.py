@@ -24,7 +24,7 @@ from companion.records import (
     ServiceStatus,
 )
 
-_RECENT = 4  # sentences that stay on the screen
+_RECENT = 4  # sentences that stay on the screen (choice)
 _TRUSTED = "trusted"
 
 
