@@ -44,7 +44,7 @@ _STAMPS_SIGMA_S = 0.0003
 _HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag (choice)
 _LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others (choice)
 _NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay (choice)
-_GAUSS_NEWTON_STEPS = 4  # after the coarse search (choice)
+_GAUSS_NEWTON_STEPS = 4  # chosen: steps after the coarse search, which is near; more move nothing
 _BUFFER_S = 32.0  # the longer window and the largest delay (derived)
 
 

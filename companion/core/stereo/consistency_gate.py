@@ -35,9 +35,9 @@ _DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty (choic
 _TERRAIN_SLACK_MPS = 8.0  # slope of terrain under a downward pair at flight speed (choice)
 _STEEPEST = 1.0  # slope of terrain, trees and houses that a pair is granted whose toe the flow confirms (choice)
 _OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle (choice)
-_CLEAR_MATCHES = 3  # far ones that clear a sector (choice)
-_OBSTACLE_SIGMAS = 3.0  # of the difference of two distances (choice)
-_OBSTACLE_DEPTH = 0.1  # of one obstacle against its distance (choice)
+_CLEAR_MATCHES = 3  # chosen: far ones that clear a sector: two wrong matches may agree, three hardly
+_OBSTACLE_SIGMAS = 3.0  # chosen: of the difference of two distances: noise alone rarely parts one obstacle
+_OBSTACLE_DEPTH = 0.1  # chosen: of one obstacle against its distance: a tree's crown is one thing
 _SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases (derived)
 _CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again (choice)
 

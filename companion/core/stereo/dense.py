@@ -27,7 +27,7 @@ _SIGMA_PX = 0.35
 # Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match (choice).
 _LEAST_TEXTURE = 3.0
 _TEXTURE_WINDOW_PX = 11  # about two matching blocks (choice)
-_METRIC_SCORE = 0.85  # as the sparse matches need (choice)
+_METRIC_SCORE = 0.85  # convention: the score that sparse matches need (FINE_SCORE in matching.py)
 _CLOSE_PX = 20.0  # one refinement window: nearer places show the same texture (derived)
 
 

@@ -22,7 +22,7 @@ _TILT = 1.0
 _PARALLAX_RAD = 1e-4
 _PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma (choice)
 _CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone (choice)
-_CENTRE_FRACTION = 0.2  # of the matches, nearest to the axis (choice)
+_CENTRE_FRACTION = 0.2  # chosen: of the matches, nearest to the axis: few enough for one place, enough for a fit
 # a surface that is rough by less than a hundredth of its depth is one surface still (choice)
 _ROUGHNESS = 0.01
 _ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)

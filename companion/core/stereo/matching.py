@@ -29,7 +29,7 @@ FINE_SCORE = 0.85
 """Correlation of a patch that is the same texture (choice)."""
 # Of 1 - correlation: the best leaves so much less unexplained than any other place, and a little in any case (choice).
 _UNIQUENESS = 0.8
-_UNIQUE_MARGIN = 0.02  # see _UNIQUENESS (choice)
+_UNIQUE_MARGIN = 0.02  # chosen: the little in any case, which noise of perfect matches needs
 # How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ so much (choice).
 _RETURN_PX = 0.1
 _RETURN_SIGMAS = 4.0  # both ways have noise of their own (choice)

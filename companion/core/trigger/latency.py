@@ -15,7 +15,7 @@ from companion.units import MAD_TO_SIGMA
 MOST_LATENCY_NS = 500_000_000
 """A frame that is further from a shot than this was not caused by it (choice)."""
 _MEMORY = 64  # newest latencies that the median is taken of (choice)
-_MAX_SHOTS = 256  # shots whose exposure may still come (choice)
+_MAX_SHOTS = 256  # bound of memory: shots whose exposure may still come
 _OUTLIER_SPREADS = 6.0  # beyond what jitter of a serial link or an operating system makes (choice)
 _LEAST_SPREAD_NS = 50e3  # resolution of stamps (choice)
 _REGIME = 5
