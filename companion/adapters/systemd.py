@@ -10,7 +10,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Mapping
 
-_FEEDS_PER_LIMIT = 4  # systemd asks for two (choice)
+_FEEDS_PER_LIMIT = 4  # chosen: systemd asks for two; one may come late
 _LONGEST_STATUS = 200  # characters that fit a line of systemctl (choice)
 
 

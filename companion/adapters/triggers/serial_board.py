@@ -20,7 +20,7 @@ LEAD_NS = 4_000_000
 _ANSWER_S = 0.05  # chosen: many times what a slow USB link needs for a line
 _WAKE_S = 3.0  # chosen: boards whose boot loader waits start within two seconds
 _FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset (choice)
-_EXCHANGES = 32  # newest exchanges that the clock rests on (choice)
+_EXCHANGES = 32  # chosen: newest exchanges that the clock rests on: quick ones enough, and young
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
 _WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
-LARGEST = 512  # bytes of a message (choice)
+LARGEST = 512  # chosen: bytes of a message: a plan and a long reason fit in
 _PLAN = struct.Struct("<Bqqqqqqdbb")
 _SHOT = struct.Struct("<Bqqq")
 _REJECTED = struct.Struct("<Bbqq")

@@ -14,7 +14,7 @@ _AWAITED_NS = 15 * _MS_NS  # chosen: answers of a wired link come within it; a l
 _MOST_UNANSWERED = 5  # requests, then the answer is not waited for (choice)
 _ASK_PERIOD_NS = 50 * _MS_NS  # chosen: twenty parameters a second flood no radio link
 _RETRY_NS = 1_000 * _MS_NS  # chosen: a slow link has answered by then, or the request is lost
-_TRIES = 5  # for each parameter (choice)
+_TRIES = 5  # chosen: for each parameter: what is lost five times is not there
 _REFRESH_NS = 30_000 * _MS_NS  # chosen: a parameter that a pilot changes is known half a minute later
 
 NEEDED_PARAMETERS = (

@@ -29,7 +29,7 @@ _CHAIN = 5  # messages in a row that prove a place behind damage (choice)
 _LONG = 1000  # bytes: few true messages are longer (choice)
 _MOST_UNKNOWN_BYTES = 10_000  # chosen: a message of a later version is hardly longer
 _MOST_BYTES = 65_535  # the size of a message is a uint16 (PX4's ULog format)
-_MOST_NESTED = 8  # depth of types within types (choice)
+_MOST_NESTED = 8  # bound of recursion: depth of types within types
 _MOST_ELEMENTS = 64  # of an array that is given as columns (choice)
 _TYPES = {
     "int8_t": "i1",

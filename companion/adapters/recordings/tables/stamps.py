@@ -15,7 +15,7 @@ _HARMLESS = 0.02  # of a period: finer rounding is left alone (choice)
 _FIRST = 32  # samples that are put on a line first (choice)
 _GROWTH = 4  # then a quarter more to each side: a line through a few rounded stamps reaches no further (choice)
 _SLACK = 1.5  # of the lattice: rounding alone spans 1, a line through few stamps somewhat more (choice)
-_HOLE = 2.5  # usual steps (choice)
+_HOLE = 2.5  # chosen: usual steps: one sample may be lost, two may not
 
 
 def without_rounding(t_s: Floats) -> tuple[Floats, str]:
