@@ -16,7 +16,7 @@ from companion.diagnosis.data.grid import faded_share, fast_length
 from companion.diagnosis.data.recoil import RecoilDelay
 from companion.records import Bools, Floats, Ints, Side
 
-_FEWEST_EXPOSURES = 5  # for a likelihood (choice)
+_FEWEST_EXPOSURES = 5  # chosen: fewer say nothing that a likelihood should weigh
 _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 
 

@@ -18,7 +18,7 @@ REQUIREMENT = (
 _LENGTHS_S = (8.0, 4.0, 2.0)  # shorter segments are used only where the longer ones do not make up enough (choice)
 _LEAST_GAP_S, _LEAST_STEPS = 0.02, 5.0  # a step longer than both is a gap; shorter ones are interpolated (choice)
 _LONGEST_FILLED_S = 1.0  # as long as a mode of 5 Hz and 3 % damping remembers (derived)
-_LEAST_SHARE = 0.6  # of a segment that was recorded (choice)
+_LEAST_SHARE = 0.6  # chosen: of a segment that was recorded: what is filled in must be the smaller part
 
 Span = tuple[float, float]
 

@@ -49,7 +49,7 @@ from companion.diagnosis.selection.normal_scores import (
 from companion.diagnosis.selection.score_tests import efficient
 from companion.records import Floats
 
-_BANDS = 14  # of a spectrum (choice)
+_BANDS = 14  # chosen: of a spectrum: its colour, and not its modes
 _INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out (choice)
 # of a family: what is less than this beside its other members shows their errors, and nothing else (choice)
 _ITS_OWN = 0.03

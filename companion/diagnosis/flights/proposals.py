@@ -24,7 +24,7 @@ from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance (choice)
 _APART_S = 0.15  # chosen: two kicks nearer than most of a period at 5 Hz are proposed as one
-_IMPULSES = 3  # that one proposal holds (choice)
+_IMPULSES = 3  # convention: kicks of one effect (core/wing/effects/forcing/impulsive_forcing.py)
 _SLOWEST_CYCLES = 6.0  # in the recording: a slower line is drift (choice)
 _BETWEEN = 4  # places a bin: a line half way between two bins shows 0.4 of its power in either (choice)
 _FEWEST_BINS = 32  # of a band in which a line is sought (choice)

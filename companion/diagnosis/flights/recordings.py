@@ -31,7 +31,7 @@ from companion.diagnosis.selection.recordings import Cause, Prediction, Progress
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
 _QUIET_DB = 3.0  # above the noise, below which nothing is told (choice)
-_FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas (choice)
+_FIRST_STEPS = (0.5, 0.05, 0.005)  # chosen: prior sigmas: a strength begins large, then small where large is far off
 _STRONG = 2.0  # prior sigmas, of an effect that is begun at every place (choice)
 # scoring steps: of a refit, of one that goes on, of a fit, of a fold (choice)
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3

@@ -33,8 +33,8 @@ BETTER = 2.0
 with Phi(-d/2 - 2/d), 2 % at most (choice)."""
 _REFITTED, _TWINS = 3, 1  # candidates, and such whose score is a name's, a bound on the cost
 _OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep (choice)
-_RANKING_STEPS = 8  # scoring steps of a fit that ranks (choice)
-_FIRST_STEP = 0.5  # prior sigmas (choice)
+_RANKING_STEPS = 8  # chosen: scoring steps of a fit that ranks: enough to order, cheap enough for many
+_FIRST_STEP = 0.5  # chosen: prior sigmas: far enough from none for a gradient
 
 
 @dataclass(frozen=True, slots=True)

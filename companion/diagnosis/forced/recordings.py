@@ -33,7 +33,7 @@ from companion.records import Floats
 
 FORCE = "force"
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
-_LEAST_BINS = 8  # of the band in a segment (choice)
+_LEAST_BINS = 8  # chosen: of the band in a segment: more than the parameters of a mode
 _EDGE = 0.02  # of a recording, at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)

@@ -34,8 +34,8 @@ from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way (choice)
-_DEEP = 40  # steps of a fit that decides (choice)
-_QUICK = 10  # steps of a fit that ranks (choice)
+_DEEP = 40  # chosen: steps of a fit that decides: it ends earlier once settled
+_QUICK = 10  # chosen: steps of a fit that ranks: enough to order, cheap enough for many
 _FOLD = 4  # steps from the fit on all blocks, which is near (choice)
 _RINGS = 0.15  # a damping ratio above that is no mode (choice)
 _BLOCK_S = 1.0  # chosen: long beside a period, short beside a recording: many blocks to fold

@@ -16,10 +16,10 @@ from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
 _FEWEST = 5  # limit cycles that can judge one of them (choice)
-_FAR = 6.0  # times the scatter of the others (choice)
+_FAR = 6.0  # chosen: times the scatter of the others: no chance among hundreds
 _LEAST = 0.06  # of the airspeed: less is drift of the rig between days (choice)
 _DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
-_REWEIGHTED = 30  # steps to the least absolute deviation (choice)
+_REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
 SMALL = 0.35
 """Amplitude as a ratio of the largest below which a vibration is on its way (choice)."""
 NOISY = (0.02, 0.3)

@@ -19,7 +19,7 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, prod
 from companion.records import Floats, Side
 
 _FINER = 8  # grid points a sample of the correlation function (choice)
-_FOLLOWED = 3  # modes (choice)
+_FOLLOWED = 3  # chosen: modes: higher ones hardly turn a camera
 
 
 class ToeModel:

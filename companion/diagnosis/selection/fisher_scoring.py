@@ -22,10 +22,11 @@ _AS_PREDICTED, _SLIGHT = 0.3, 2.0
 _NEARLY = 0.5  # nats predicted by a step that none follows, below which the top is reached (choice)
 _TRIES = 9  # of one step, each more damped than the last (choice)
 _DAMPED_TRIES = 2  # then the step is shortened as well (choice)
-_LEAST_LONGER, _LONGEST = 1.2, 3.0  # times a step (choice)
+# chosen: times a step: a shorter stretch gains nothing, a longer one trusts too much
+_LEAST_LONGER, _LONGEST = 1.2, 3.0
 # numerical: of Levenberg: first damping, factors of it, and where none is left
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
-_FARTHEST = 3.0  # prior sigmas in one step (choice)
+_FARTHEST = 3.0  # chosen: prior sigmas in one step: no step leaves what is believed possible
 State = TypeVar("State")
 
 

@@ -23,7 +23,7 @@ CERTAIN_Z = 4.4
 """Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings (choice)."""
 SAME = 0.95
 """Correlation of efficient scores from which two terms are one group (choice)."""
-_BEAM = 2  # models that go on side by side (choice)
+_BEAM = 2  # chosen: models that go on side by side, a bound on the cost: the best two are often near
 _WITHIN = 25.0  # nats behind the best path: a further term will not make up for more (choice)
 _REFITTED = 5  # candidates a round, a bound on its cost
 _WORTH_A_REFIT_Z = 3.5  # sigmas of the score; below, no refit is tried (choice)
