@@ -16,8 +16,8 @@ from companion.reporting.embedding import embed
 
 _FEWEST = 3  # points that make a picture (choice)
 _COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
-_MOST_COLUMNS = 8  # that a page is wide enough for (choice)
-_MOST_RECURRING = 12  # most frequent first (choice)
+_MOST_COLUMNS = 8  # chosen: that a page is wide enough for
+_MOST_RECURRING = 12  # chosen: most frequent first: a list that is read
 _MOST_NAMES = 16  # beneath a picture of 10 inches (choice)
 _MOST_LETTERS = 18  # of a file's name there: the end of it, which tells flights apart (choice)
 _WITHHELD = "withheld: "

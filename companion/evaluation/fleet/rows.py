@@ -16,7 +16,7 @@ from companion.params.airframe import FAMILIES
 from companion.records import Station
 
 _DEEPEST = 3  # levels of a nested result that become columns (choice)
-_MOST_TEXT = 160  # characters of a cell (choice)
+_MOST_TEXT = 160  # chosen: characters of a cell: a sentence, not a page
 
 
 def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:

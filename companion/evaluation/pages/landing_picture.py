@@ -18,7 +18,7 @@ _LEGEND = (
     "the flare begins where the corrected height is two seconds of the sink rate"
 )
 _HIGHEST_M = 70.0  # chosen: the level leg before the slope, and room above it
-_SHOWN_M = (-640.0, 110.0)  # along the runway, from the landing point (choice)
+_SHOWN_M = (-640.0, 110.0)  # chosen: along the runway, from the landing point: the approach and the roll-out
 
 
 def draw_landings(rows: Sequence[Row], path: Path) -> None:
