@@ -15,7 +15,7 @@ _CENTIMETRE_M = 0.01  # by definition
 _SECTORS = 72  # OBSTACLE_DISTANCE.distances (by definition)
 _UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known (by definition)
 _BODY_FRD = 12  # MAV_FRAME_BODY_FRD
-_MOST_PROBLEMS = 50  # that are kept for the report (choice)
+_MOST_PROBLEMS = 50  # bound of memory: problems that are kept for the report
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from companion.records import Floats
 Image32 = npt.NDArray[np.float32]
 Image16 = npt.NDArray[np.uint16]
 
-PERIOD_TEXELS = 1280  # texels after which the ground repeats (choice)
+PERIOD_TEXELS = 1280  # chosen: texels after which the ground repeats: the tile stays small, octaves never meet again
 CENTRE_PER_TEXEL = 1.0 / 8.0
 """Centre frequency of the tile's band: low for bilinear sampling, high for the processor's cache (choice)."""
 

@@ -26,7 +26,7 @@ from companion.sim.vision.texture import (
     within_tile,
 )
 
-CONTRAST = 11.0  # grey levels rms of each octave (choice)
+CONTRAST = 11.0  # chosen: grey levels rms of each octave: rough ground in daylight
 _LEAST_WEIGHT = 0.01  # of an octave: below it motion has blurred it away (choice)
 _HORIZON_M = 1e4  # a pixel that spans this much shows nothing (choice)
 _POSES_PER_CYCLE = 7.0  # of blur: the average then follows the true blur of a wave to 3 % of its amplitude (choice)
