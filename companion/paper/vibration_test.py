@@ -16,7 +16,7 @@ from companion.sim.flight.wing import SUBSTEP_S, integrate
 
 TESTS = 8  # repeated tests: a spread known to a quarter (choice)
 STATIONS_M = (0.2, 0.4, 0.6, 0.8, TIP_M)
-GAIN_SIGMA = 0.01  # of each accelerometer (choice)
+GAIN_SIGMA = 0.01  # chosen: of each accelerometer: a calibrated one
 _SEED = 9  # convention: any fixed number
 _TEST_S = 60.0  # chosen: a sweep slow beside the modes' ringing
 _SWEEP_HZ = (1.0, 40.0)  # chosen: both bending modes and their sides
