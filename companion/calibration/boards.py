@@ -16,6 +16,7 @@ LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it 
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
 _WINDOW_PX = (2, 11)  # half window of the corner refinement, least and most (choice)
+# numerical: steps at most, px: far below a corner's noise
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
 

@@ -24,6 +24,7 @@ _OUTLIER = 3.0  # times the median reprojection error of the views (choice)
 _HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do (choice)
 CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
 _FAR_M = 60.0  # where the toe is what counts (choice)
+# numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 

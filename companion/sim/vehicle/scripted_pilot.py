@@ -27,7 +27,7 @@ _MOST_BANK_RAD, _ROLL_RATE_RADPS = 0.75, 1.2
 _TRIM_PITCH_RAD = 0.05  # chosen: a wing flies with its nose 3 degrees up
 _PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5  # chosen: pitch follows at once, speed with the aeroplane's inertia
 _FORCED_FOR_S = 3.0  # chosen: a script that stops asking loses its attitude after three seconds
-_FREE = (0.0, -math.inf)
+_FREE = (0.0, -math.inf)  # convention: no angle, held until before all time
 _LANDED_M = 0.3  # wheels touch below it (choice)
 _LINED_UP_RAD = 0.3  # chosen: 17 degrees off, within which an approach goes on
 
