@@ -27,7 +27,7 @@ LONGEST_LAG_NS = 1_000_000_000
 """As long a simulated autopilot may be behind before it catches up (choice)."""
 _NEAR_NS = 300_000_000
 """So near to an exchange that was caught, others may be of a clock that was only a little behind (choice)."""
-_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)
+_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)  # convention: time and offset of a bound that binds nothing
 
 
 @dataclass(frozen=True, slots=True)
