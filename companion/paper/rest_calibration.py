@@ -29,7 +29,7 @@ from companion.sim.vision.renderer import Renderer
 
 _EDGES_NS = (500_000_000, 900_000_000, 1_300_000_000)  # chosen: three pictures, whose noise averages
 _STEPS = 4  # Newton steps (numerical)
-_DIFFERENCE = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2])
+_DIFFERENCE = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2])  # numerical: rad and px, of the difference quotients
 _ROTATION_SIGMA_RAD = 0.003  # wide: a hanging wing's static bend is in it (choice)
 _COMMON_PX = 0.02  # chosen: what all matches of a picture may share (core/stereo/ranging.py)
 

@@ -66,7 +66,8 @@ SOURCE = re.compile(
     r"|[Tt]he paper|\b(?:Tables?|Figs?\.) \d|\b(?:19|20)\d\d\)"  # the reproduced paper; another one by its year
     r"|MAVLink|MAV_|ArduPilot|ArduPlane|AP_|PX4|OpenCV|DepthAI|MCAP spec|MAT-File|\.h\b"
 )
-_ARITHMETIC = (ast.Constant, ast.Name, ast.Attribute, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop, ast.Load)
+_ARITHMETIC = (ast.Constant, ast.Name, ast.Attribute, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop)
+_NUMERIC = (*_ARITHMETIC, ast.Tuple, ast.List, ast.Load)
 
 
 def _relative(path: Path) -> str:
@@ -78,10 +79,10 @@ def test_files_are_named_in_the_fields_terms() -> None:
 
 
 def _is_numeric(value: ast.expr) -> bool:
-    """Whether a value is a number, arithmetic with numbers, or a tuple of these."""
-    nodes = [node for part in getattr(value, "elts", [value]) for node in ast.walk(part)]
+    """Whether a value is a number, arithmetic with numbers, or tuples of these."""
+    nodes = list(ast.walk(value))
     kinds = {type(node.value) for node in nodes if isinstance(node, ast.Constant)}
-    return bool(kinds) and kinds <= {int, float} and all(isinstance(node, _ARITHMETIC) for node in nodes)
+    return bool(kinds) and kinds <= {int, float} and all(isinstance(node, _NUMERIC) for node in nodes)
 
 
 def _numeric(tree: ast.Module) -> Iterator[tuple[ast.Assign | ast.AnnAssign, ast.stmt | None]]:
@@ -130,7 +131,8 @@ def test_a_constant_with_a_source_passes(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["A = 1.0", "A = 1  # seconds", "A: int = -1", "B = C  # chosen\nA = 2 * B", "A = (1.0, 2 * B)  # in m"]
+    "text",
+    ["A = 1.0", "A = 1  # seconds", "A: int = -1", "B = C  # chosen\nA = 2 * B", "A = ((1.0, 2 * B), C)  # in m"],
 )
 def test_a_constant_without_a_source_is_named(text: str) -> None:
     assert [name[0] for name in without_source(text)] == ["A"]

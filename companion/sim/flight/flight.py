@@ -53,7 +53,8 @@ _BURN_IN_S = 12.0  # chosen: a mode of 5 Hz and 3 % damping has forgotten its st
 _DRYDEN_WIND_MPS = 10.0  # chosen: a breezy day; MIL-F-8785C calls 15 knots light, 30 moderate
 _DRYDEN_ALTITUDE_M = 60.0  # chosen: the height of the demo's level flight
 _WORLD_PURPOSES = (b"weather", b"wear", b"shake")  # names of generators: one more draw in one changes no other
-_PARTICIPATION = {0: 1.566, 2: -0.868, 4: 0.509}  # of a uniform cantilever's bending modes in a shaken root, by slot
+# derived: of a uniform cantilever's bending modes in a shaken root, by slot
+_PARTICIPATION = {0: 1.566, 2: -0.868, 4: 0.509}
 
 
 @dataclass(frozen=True, slots=True)

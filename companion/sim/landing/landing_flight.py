@@ -28,7 +28,7 @@ from companion.sim.landing.growing_truth import GrowingTruth
 from companion.sim.landing.trim import trimmed
 from companion.sim.landing.turbulence import AirMotion, Turbulence
 
-PERIOD_NS = round(PERIOD_S * 1e9)
+PERIOD_NS = round(PERIOD_S * 1e9)  # derived: the control loops' period
 GUST_WIND_MPS = 6.0
 """Wind at 20 ft whose turbulence is flown: 0.6 m/s rms of vertical gust (choice)."""
 

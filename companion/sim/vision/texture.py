@@ -31,7 +31,7 @@ _REPEATS = 3  # copies side by side, so that a window never wraps (choice)
 _COARSEST, _FINEST = -8, 9  # octaves, 2^k cycles per metre: 256 m to 2 mm (choice)
 _LENS_SIGMA_PX = 0.45  # chosen: a good small lens blurs by about half a pixel
 _FADE_FROM, _FADE_TO = 0.22, 0.36  # cycles per pixel at an octave's centre: full weight, none (choice)
-_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # no two octaves line up
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # by definition: no two octaves line up
 
 
 @dataclass(frozen=True, slots=True)

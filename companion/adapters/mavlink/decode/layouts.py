@@ -31,6 +31,7 @@ IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48  # derived: the smallest stamp
 _COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
 _Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]
 _MG = GRAVITY_MPS2 / 1000.0  # by definition: a milli-g, the unit of the old messages
+# by definition: SI units of a count, milli-g and mrad/s (MAVLink common.xml)
 INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
 
 
