@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-_LONGEST_TEXT = 200  # characters: two lines of a terminal
+_LONGEST_TEXT = 200  # characters: two lines of a terminal (choice)
 
 
 class SpanwiseError(Exception):
@@ -90,5 +90,6 @@ def described(error: Exception) -> str:
     return f"{type(error).__name__}{': ' if said else ''}{said}{where}"
 
 
-NOTHING_TO_ESTIMATE = 3  # exit code of a command that ended well without a mode, a range or a cause; see the README
-TO_FIX = 4  # exit code of the doctor where the vehicle wants a change; see the README
+# exit code of a command that ended well without a mode, a range or a cause; see the README (convention)
+NOTHING_TO_ESTIMATE = 3
+TO_FIX = 4  # exit code of the doctor where the vehicle wants a change; see the README (convention)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import socket
 from collections.abc import Mapping
 
-_FEEDS_PER_LIMIT = 4  # systemd asks for two
-_LONGEST_STATUS = 200  # characters that fit a line of systemctl
+_FEEDS_PER_LIMIT = 4  # chosen: systemd asks for two; one may come late
+_LONGEST_STATUS = 200  # characters that fit a line of systemctl (choice)
 
 
 class ServiceManager:

@@ -12,19 +12,22 @@ from dataclasses import dataclass
 from companion.units import GRAVITY_MPS2, Orientation
 
 SLOPE_FACTOR = 1.38
-"""Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765)."""
+"""Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765; derived)."""
 STATIC_BEND = 1.545
-"""Tip deflection of a uniform cantilever under its own weight times omega^2 / g: (1.8751^4 = 12.362) / 8."""
-_SLOPE_SPREAD = 0.05  # 1.33 under an even static load to 1.50 under a tip load
-_STATIC_SPREAD = 0.3  # taper, and lift that is denser at the root
-_FREQUENCY_SPREAD = 0.1  # a tap test on the bench holds the fuselage, flight does not
+"""Tip deflection of a uniform cantilever under its own weight times omega^2 / g: (1.8751^4 = 12.362) / 8 (derived)."""
+_SLOPE_SPREAD = 0.05  # 1.33 under an even static load to 1.50 under a tip load (derived)
+_STATIC_SPREAD = 0.3  # taper, and lift that is denser at the root (choice)
+_FREQUENCY_SPREAD = 0.1  # a tap test on the bench holds the fuselage, flight does not (choice)
+# chosen: the fuselage's mass lets an antisymmetric mode ring faster; wide, for wings differ
 _ANTISYMMETRIC_RATIO, _ANTISYMMETRIC_SPREAD = 1.28, 0.15
+# chosen: structure 1 to 2 %, air the rest; the sigma reaches from a clean wing to a soft one
 _DAMPING, _DAMPING_SIGMA = 0.03, 0.02
+# chosen: gusts bend a third of what 1 g bends; the sigma spans calm and rough air
 _GUST_PER_G, _GUST_SPREAD = 1.0 / 3.0, 0.8
-_MOUNT_SIGMA_RAD = 0.01
-_FOCAL_SPREAD = 0.02  # of the focal length: data sheets against calibrations
+_MOUNT_SIGMA_RAD = 0.01  # chosen: half a degree, what an eye leaves when a camera is mounted
+_FOCAL_SPREAD = 0.02  # of the focal length: data sheets against calibrations (choice)
 _TRUST = 0.03
-"""sigma / range above which no range is trusted by default (RNG_TRUST)."""
+"""sigma / range above which no range is trusted by default (RNG_TRUST; convention)."""
 
 _AXES = {"down": '["y", "-x", "z"]', "forward": '["y", "z", "x"]'}
 _ORIENTATION = {"down": int(Orientation.DOWN), "forward": int(Orientation.FORWARD), "none": int(Orientation.DOWN)}

@@ -15,10 +15,10 @@ import numpy as np
 from companion.calibration.poles import Complex, stable_poles
 from companion.records import Floats
 
-_LAGS_S = 4.0  # of the correlations: some ten periods of a damped mode
-_WINDOW_END = 0.03  # of the correlation window at its last lag: damping it adds is taken off again
-_BLOCKS = 6  # of a recording, whose scatter gives the sigma
-_NEAR = 0.08  # of the frequency: the same mode in another block
+_LAGS_S = 4.0  # of the correlations: some ten periods of a damped mode (choice)
+_WINDOW_END = 0.03  # of the correlation window at its last lag: damping it adds is taken off again (choice)
+_BLOCKS = 6  # of a recording, whose scatter gives the sigma (choice)
+_NEAR = 0.08  # of the frequency: the same mode in another block (choice)
 
 
 @dataclass(frozen=True, slots=True)

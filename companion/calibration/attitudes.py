@@ -18,12 +18,12 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, Frame, FramePair, Ints, Record, Side, Station, TimesyncReply
 
-_AROUND_NS = 250_000_000  # samples about an image
-_LEAST_SAMPLES = 10  # for a mean whose noise does not matter beside the bias
-_STILL_MPS2 = 0.3  # standard deviation about the mean, any axis
+_AROUND_NS = 250_000_000  # chosen: samples about an image: short beside a hand's patience, long beside noise
+_LEAST_SAMPLES = 10  # for a mean whose noise does not matter beside the bias (choice)
+_STILL_MPS2 = 0.3  # chosen: standard deviation about the mean, any axis: noise and a steady hand pass
 _STILL_RADPS = 0.02  # a hand-held aircraft at rest (choice)
-_APART_RAD = 0.05  # less is the same attitude again
-_FIT_PX = 1.0  # a board that fits worse was not seen still
+_APART_RAD = 0.05  # chosen: 3 degrees; less is the same attitude again and teaches nothing
+_FIT_PX = 1.0  # a board that fits worse was not seen still (choice)
 _STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
 

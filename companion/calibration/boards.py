@@ -11,11 +11,12 @@ from companion.errors import ConfigError
 from companion.records import Bytes, Floats, Ints
 
 _DICTIONARY = cv2.aruco.DICT_4X4_250
-_MARKER_FRACTION = 0.75  # of a square: the usual ChArUco print
-LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it by
+_MARKER_FRACTION = 0.75  # of a square: the usual ChArUco print (choice)
+LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it by (choice)
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
-_WINDOW_PX = (2, 11)  # half window of the corner refinement, least and most
+_WINDOW_PX = (2, 11)  # half window of the corner refinement, least and most (choice)
+# numerical: steps at most, px: far below a corner's noise
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from companion.calibration.boards import Corners
 from companion.records import Floats
 
-LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
-SHARED = 2 * LENS + 6  # two lenses, rotation and translation
-_MAX_STEPS = 12  # Gauss-Newton steps at most; it ends earlier once settled
-_SETTLED = 1e-9  # relative step at which rounding rules
+LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3 (by definition)
+SHARED = 2 * LENS + 6  # two lenses, rotation and translation (by definition)
+_MAX_STEPS = 12  # Gauss-Newton steps at most; it ends earlier once settled (numerical)
+_SETTLED = 1e-9  # relative step at which rounding rules (numerical)
 _JACOBIAN_COLUMNS = np.r_[
     6:10, 10:15
 ]  # of projectPoints' derivatives: rotation, translation, focal, principal, distortion

@@ -15,11 +15,11 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station, TimesyncReply
 
-_VERTICAL = 2  # column of body z in ImuBatch.values
-_RATE_HZ = 200.0  # twice the band and more
-_TAPS = 129  # of the anti-alias low-pass
-_LEAST_S = 20.0  # a hundred periods of 5 Hz
-_GAP_NS = 200_000_000  # a longer one parts the record
+_VERTICAL = 2  # column of body z in ImuBatch.values (convention)
+_RATE_HZ = 200.0  # twice the band and more (choice)
+_TAPS = 129  # chosen: taps of the anti-alias low-pass: steep enough for 0.8 of the new Nyquist rate
+_LEAST_S = 20.0  # a hundred periods of 5 Hz (choice)
+_GAP_NS = 200_000_000  # chosen: one period at 5 Hz; across a longer one a mode is not interpolated
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,11 @@ from companion.calibration.stereo_rig import CELLS, BoardView, cells
 from companion.records import Floats, Side
 
 ENOUGH_VIEWS = 20  # OpenCV's usual advice, 10 to 20
-_ENOUGH_CELLS = 12  # of the 16 of each image
-_TILT = 0.06  # relative change of scale across the board: about 10 degrees at arm's length
-_TILTED_VIEWS = 2  # each way: one may be refused
-_DISTANCES = 1.4  # farthest over nearest
-_NEW_PX = 0.06  # of the image width: how far a board has to move to be another view
+_ENOUGH_CELLS = 12  # chosen: of the 16 of each image; corners may stay empty
+_TILT = 0.06  # relative change of scale across the board: about 10 degrees at arm's length (choice)
+_TILTED_VIEWS = 2  # each way: one may be refused (choice)
+_DISTANCES = 1.4  # chosen: farthest over nearest: tells focal length from distance
+_NEW_PX = 0.06  # of the image width: how far a board has to move to be another view (choice)
 
 _ROWS = ("top", "upper middle", "lower middle", "bottom")
 _COLUMNS = ("left", "left of the middle", "right of the middle", "right")

@@ -11,8 +11,8 @@ from companion.errors import RecordingError
 from companion.records import ClockName, Floats, MatchSet, Record, Shot
 from companion.units import MAD_TO_SIGMA
 
-_LEAST_SHOTS = 10  # for a spread known to a quarter
-_LONGEST_S = 0.2  # a longer one was not that shot
+_LEAST_SHOTS = 10  # for a spread known to a quarter (choice)
+_LONGEST_S = 0.2  # a longer one was not that shot (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from companion.records import Floats
 
 _GRID = 9  # pixels a side, evenly over the image, at which rays are compared (choice)
 _MARGIN = 0.04  # of the image left out at each side: features lie inside it (choice)
-_STEP_SIGMAS = 1e-2  # of the difference quotient
+_STEP_SIGMAS = 1e-2  # of the difference quotient (numerical)
 _ROTATION = 3  # entries of a rotation vector (derived)
 
 

@@ -11,9 +11,9 @@ from companion.calibration.guidance import advice, is_new
 from companion.calibration.stereo_rig import BoardView
 from companion.records import Bytes, Frame, Side
 
-_SKEW_NS = 50_000_000  # a board that holds still may be seen by cameras that are not synchronised
-_STILL_PX = 0.5  # between two images
-_LATELY_NS = 1_000_000_000  # older images do not show that the board is still
+_SKEW_NS = 50_000_000  # a board that holds still may be seen by cameras that are not synchronised (choice)
+_STILL_PX = 0.5  # chosen: between two images: less blurs no corner
+_LATELY_NS = 1_000_000_000  # older images do not show that the board is still (choice)
 
 
 @dataclass(frozen=True, slots=True)

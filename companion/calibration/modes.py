@@ -9,9 +9,10 @@ import numpy as np
 from companion.calibration.poles import Complex, Pole, stable_poles
 from companion.records import Floats, Ints
 
-_LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel
-_LEAST_RUNS = 0.5  # of the runs: what fewer show is no mode of the wing
-_RESOLVED = 4.0  # lines within the half-power bandwidth: with fewer, damping and residue are those of the record
+_LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel (choice)
+_LEAST_RUNS = 0.5  # of the runs: what fewer show is no mode of the wing (choice)
+# lines within the half-power bandwidth: with fewer, damping and residue are those of the record (choice)
+_RESOLVED = 4.0
 
 
 @dataclass(frozen=True, slots=True)

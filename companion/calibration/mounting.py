@@ -23,9 +23,9 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
 
-LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by
-_MAX_STEPS = 20  # Gauss-Newton steps at most
-_LARGEST_SIGMA_RAD = 0.02  # a worse mounting is not worth having
+LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by (choice)
+_MAX_STEPS = 20  # Gauss-Newton steps at most (numerical)
+_LARGEST_SIGMA_RAD = 0.02  # a worse mounting is not worth having (choice)
 
 
 @dataclass(frozen=True, slots=True)

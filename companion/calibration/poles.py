@@ -17,10 +17,10 @@ import numpy.typing as npt
 from companion.records import Floats
 
 Complex = npt.NDArray[np.complex128]
-_SAME_FREQUENCY = 0.005  # relative: a pole that stays from order to order is physical (stabilisation diagram)
-_SAME_DAMPING = 0.15  # relative, as the frequency
+_SAME_FREQUENCY = 0.005  # relative: a pole that stays from order to order is physical (stabilisation diagram; choice)
+_SAME_DAMPING = 0.15  # chosen: relative: damping scatters far more than frequency
 _SAME_DAMPING_FLOOR = 0.0005  # ratio: below it the relative bound means nothing
-_MIN_ORDER_FRACTION = 0.35  # of the orders that have to bring a pole back
+_MIN_ORDER_FRACTION = 0.35  # of the orders that have to bring a pole back (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,11 +19,12 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 
-LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by
-_OUTLIER = 3.0  # times the median reprojection error of the views
-_HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do
-CELLS = 4  # a side, of the grid by which image coverage is judged
-_FAR_M = 60.0  # where the toe is what counts
+LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by (choice)
+_OUTLIER = 3.0  # times the median reprojection error of the views (choice)
+_HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do (choice)
+CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
+_FAR_M = 60.0  # where the toe is what counts (choice)
+# numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 

@@ -31,7 +31,7 @@ from companion.params.toml import read_toml
 from companion.records import Floats
 
 _SIGNALS = "signalIn"
-_FASTEST_HZ = 1e6  # a higher rate is a wrong unit
+_FASTEST_HZ = 1e6  # a higher rate is a wrong unit (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,9 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Ints
 
-SYMMETRIC_LEAST = 0.9  # modal assurance with the mirrored shape
-_DEGREE = 3  # of an edge's polynomial: a half wing's first mode needs no more
-_UNSEEN = 0.33  # relative sigma of what a test on the ground does not show
+SYMMETRIC_LEAST = 0.9  # chosen: modal assurance with the mirrored shape, where 1 is a perfect one
+_DEGREE = 3  # of an edge's polynomial: a half wing's first mode needs no more (choice)
+_UNSEEN = 0.33  # relative sigma of what a test on the ground does not show (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,8 @@ from companion.errors import TO_FIX
 from companion.params.files import load_airframe
 from companion.ports import Clock
 
-_TRIES = 3  # a parameter is set so often before it counts as refused
-_ANSWER_NS = 1_000_000_000
+_TRIES = 3  # a parameter is set so often before it counts as refused (choice)
+_ANSWER_NS = 1_000_000_000  # chosen: a parameter is answered within it over a radio link, or asked again
 _CHECKS = (
     check_link,
     check_parameters,

@@ -25,8 +25,8 @@ from companion.evaluation.fleet.trends import findings, unremarkable
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
-SOME_FAILED = 1  # exit code of bad input: a script notices, table and page of the other files are written
-_MOST_WORKERS = 256  # more than any machine has use for
+SOME_FAILED = 1  # exit code of bad input: a script notices, table and page of the other files are written (convention)
+_MOST_WORKERS = 256  # more than any machine has use for (choice)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

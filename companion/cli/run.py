@@ -26,8 +26,8 @@ from companion.records import Record, TriggerLatency
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 
-_KEEP_NS = 30_000_000_000
-_GB = 1e9  # bytes
+_KEEP_NS = 30_000_000_000  # chosen: a crash loses half a minute of learning, and the card is rarely written
+_GB = 1e9  # bytes (by definition)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ from companion.cli.terminal.progress import say
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.tuning import JUDGED, ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
 
-_MOST_WORKERS = 64  # more than there are trials
+_MOST_WORKERS = 64  # more than there are trials (choice)
 _HEADS = ("trial", "shots", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
 
 

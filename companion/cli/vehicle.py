@@ -24,8 +24,8 @@ from companion.sim.vision.camera_server import CameraServerConfig, start_camera_
 from companion.sim.vision.scenery import scene_of
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
-_WAIT_S = 600.0  # somebody types the other command meanwhile
-_OPENING_S = 5.0
+_WAIT_S = 600.0  # somebody types the other command meanwhile (choice)
+_OPENING_S = 5.0  # chosen: longer than a connection takes; a stuck one holds the end up no longer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

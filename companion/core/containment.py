@@ -27,7 +27,7 @@ from companion.records import (
 )
 from companion.units import Severity
 
-_PERIOD_NS = 1_000_000_000  # the heartbeat's
+_PERIOD_NS = 1_000_000_000  # the heartbeat's (convention)
 _ABOUT_CLOCKS = (TimesyncReply, ClockRestart)
 
 

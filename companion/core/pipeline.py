@@ -48,7 +48,7 @@ from companion.units import Severity
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
-_TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
+_TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between (derived)
 _BY_PIN = "exposures stamped by the autopilot"
 _SAMPLES = {station: f"samples {station.name.lower()}" for station in Station}  # names of counters
 

@@ -22,7 +22,7 @@ from companion.params.settings import Settings
 from companion.rate_limiter import RateLimiter
 from companion.records import ClockName, ImuBatch, Station, Validity, VehicleState
 
-_ERROR_PERIOD_NS = 1_000_000_000  # the heartbeat's: an error that stays is told once in it
+_ERROR_PERIOD_NS = 1_000_000_000  # the heartbeat's: an error that stays is told once in it (choice)
 
 
 @dataclass(slots=True)

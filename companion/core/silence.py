@@ -10,11 +10,11 @@ from companion.core.trigger.planner import Policy
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Firing, MatchSet, Record, Reject, Rejected, Shot, TriggerPlan
 
-_PATIENCE_NS = 5_000_000_000  # longer than any usual gap between trusted ranges
+_PATIENCE_NS = 5_000_000_000  # longer than any usual gap between trusted ranges (choice)
 _UNTRACKED_PATIENCE_NS = 30_000_000_000  # a start takes seconds, a lost tracker stays (choice)
-_LONGEST_STEP_NS = 1_000_000_000  # a longer pause between ticks is not waiting
-_REPEAT_NS = 20_000_000_000  # often enough for an operator, rare enough for a slow link
-_AGE_NS = 5_000_000_000  # counts halve so often: causes of late weigh most
+_LONGEST_STEP_NS = 1_000_000_000  # a longer pause between ticks is not waiting (choice)
+_REPEAT_NS = 20_000_000_000  # often enough for an operator, rare enough for a slow link (choice)
+_AGE_NS = 5_000_000_000  # counts halve so often: causes of late weigh most (choice)
 _SETTINGS = {
     Reject.NO_MATCHES: "RNG_MATCHES",
     Reject.OUT_OF_RANGE: "RNG_MIN, RNG_MAX",

@@ -10,7 +10,7 @@ from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.recordings import Cause
 
-_SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution
+_SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution (derived)
 
 
 def quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from companion.records import (
     TimesyncReply,
 )
 
-SETTLE_SHARE = 0.4  # of the time given, for rates that were just asked for
+SETTLE_SHARE = 0.4  # of the time given, for rates that were just asked for (choice)
 WANTED = (
     *NEEDED_PARAMETERS,
     "RNGFND1_MAX_CM", "RNGFND1_MIN_CM", "PRX1_TYPE", "PRX_TYPE",

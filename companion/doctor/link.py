@@ -10,7 +10,7 @@ from companion.adapters.mavlink.vehicle.absence import absence_text
 from companion.doctor.evidence import Evidence, Finding, FindingLevel
 
 _SUBJECT = "link"
-_LEAST_BEATS_HZ = 0.7
+_LEAST_BEATS_HZ = 0.7  # chosen: heartbeats come once a second; three of ten lost are a bad link
 _DAMAGE = 0.01  # convention: share of damaged frames worth a warning
 
 

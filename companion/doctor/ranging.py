@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 
+# convention: MAVLink's drivers in RNGFND1_TYPE and PRX1_TYPE (ArduPilot)
 _MAVLINK_RANGEFINDER, _MAVLINK_PROXIMITY = 10, 2
 _PROXIMITY_USERS = frozenset(
     (

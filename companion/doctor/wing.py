@@ -17,11 +17,11 @@ _LOSSES = {
     "line_lost": "readings lost because its line is too slow: raise the baud rate or lower the rate",
     "line_bad": "damaged TIMESYNC requests: mend the cable",
 }
-_ENOUGH = 0.75  # of the believed rate: below, the stream does not come as set
+_ENOUGH = 0.75  # of the believed rate: below, the stream does not come as set (choice)
 _UNPAIRED = 0.05  # convention: share of frames worth a warning
 _LOST = 0.05  # convention: share of plans worth a warning
 _OVERHEAD_BYTES = 12  # header and checksum of MAVLink 2
-_BITS_PER_BYTE = 10  # start, eight of data, stop
+_BITS_PER_BYTE = 10  # start, eight of data, stop (by definition)
 _LETTERS = "xyzpqr"
 # smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases, mrad: sitl_tests/physics/test_reference_limits.py
 _SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (True, True): 0.24}

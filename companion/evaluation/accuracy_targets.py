@@ -14,7 +14,7 @@ from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
 
 TARGET_FAST_MRAD = 0.15  # rms of the toe error above FAST_HZ (choice)
-TARGET_SHARE = 0.01  # of the rigid error above 0.5 Hz: what is promised
+TARGET_SHARE = 0.01  # of the rigid error above 0.5 Hz: what is promised (choice)
 TARGET_ORACLE_60_M = 0.15  # median range error with true extrinsics (choice)
 PAPER_SHARE = 0.556  # of the error removed, the paper's Table 4 at 60 m
 

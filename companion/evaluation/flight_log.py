@@ -31,13 +31,13 @@ from companion.records import (
     Validity,
 )
 
-SPECTRUM_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour
-_LINE_RATIO = 12.0  # a vibration line stands so far above the median of its neighbours
+SPECTRUM_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour (choice)
+_LINE_RATIO = 12.0  # a vibration line stands so far above the median of its neighbours (choice)
 _NEIGHBOURHOOD_HZ = 6.0  # wider than any line, narrower than the spectrum of a gust (choice)
 _LOWEST_LINE_HZ = 3.0  # below are manoeuvres and slow gusts (choice)
 _MODE_WIDTH = 0.1  # a peak so near a tracked frequency, as a share of it, is the mode's own (choice)
-_NOISE_BAND = (0.5, 0.9)  # of half the rate: above the wing's motion, below the sensor's own low-pass edge
-_LINES = 6  # that are worth naming
+_NOISE_BAND = (0.5, 0.9)  # of half the rate: above the wing's motion, below the sensor's own low-pass edge (choice)
+_LINES = 6  # that are worth naming (choice)
 
 
 @dataclass(frozen=True, slots=True)

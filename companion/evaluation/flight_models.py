@@ -14,9 +14,10 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.recorded_evidence import load
 from companion.params.airframe import Airframe
 
-_LOAD_VARIES = 0.02  # rms g: below, the flight was level
-_TOP = 8.0  # highest frequency modelled, in first modes: the third mode of a beam lies at 17.5, the second at 6.3
-_LONGEST_S = 120.0
+_LOAD_VARIES = 0.02  # rms g: below, the flight was level (choice)
+# highest frequency modelled, in first modes: the third mode of a beam lies at 17.5, the second at 6.3 (choice)
+_TOP = 8.0
+_LONGEST_S = 120.0  # chosen: airspeed and warmth change little in two minutes, and a model fits in memory
 
 
 def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping | None = None) -> list[FlightModel]:

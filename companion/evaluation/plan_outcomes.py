@@ -13,8 +13,8 @@ LATE = "came too late to be fired"
 FAILED = "refused by the trigger or the autopilot"
 WITHDRAWN = "withdrawn"
 SKIPPED = "skipped: "
-_OPEN_PLANS = 32  # plans that may still be open
-_ANSWER_NS = 1_000_000_000
+_OPEN_PLANS = 32  # bound of memory: plans that may still be open
+_ANSWER_NS = 1_000_000_000  # chosen: a failure is told by then, or belongs to no plan
 
 
 @dataclass(slots=True)

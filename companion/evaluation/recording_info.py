@@ -14,8 +14,8 @@ from companion.adapters.recordings.recording import Recording
 from companion.evaluation.service_health import ServiceHealth
 from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, Reject, Rejected, Station
 
-_GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap
-_USUAL_STEPS = 1000  # steps that the usual one is the median of
+_GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap (convention)
+_USUAL_STEPS = 1000  # steps that the usual one is the median of (choice)
 AT_THE_END = "after the last sample (the recording's end)"
 
 

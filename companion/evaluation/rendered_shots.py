@@ -36,7 +36,8 @@ from companion.sim.vision.scenery import scene_of
 
 ShotRecords = list[MatchSet | Rejected | FramePair]
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
-_AHEAD = 8  # shots begun before the first result is read: pipes hold a few results, and a full one stops both ends
+# shots begun before the first result is read: pipes hold a few results, and a full one stops both ends (choice)
+_AHEAD = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)

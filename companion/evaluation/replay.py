@@ -28,12 +28,12 @@ from companion.records import (
     VehicleState,
 )
 
-TICK_NS = 10_000_000
-_LONGEST_LEAP_NS = 3_600_000_000_000
-_RESUMED_SAMPLES = 50  # that go on from each other behind a leap: a pause of the logger, not damage
-_RESUMED_NS = 500_000_000  # over so long a time at least
-_RESUMED_STEP_NS = 1_000_000_000  # and in steps of so much at most
-_LONGEST_GAP_NS = 30_000_000_000  # no ticks beyond: one damaged stamp may be ages ahead
+TICK_NS = 10_000_000  # convention: the live service's (service/inertial.py)
+_LONGEST_LEAP_NS = 3_600_000_000_000  # chosen: an hour: a clock that leaps further is damaged, or it was another flight
+_RESUMED_SAMPLES = 50  # that go on from each other behind a leap: a pause of the logger, not damage (choice)
+_RESUMED_NS = 500_000_000  # chosen: over so long a time at least: a burst is no stream
+_RESUMED_STEP_NS = 1_000_000_000  # and in steps of so much at most (choice)
+_LONGEST_GAP_NS = 30_000_000_000  # no ticks beyond: one damaged stamp may be ages ahead (choice)
 _OWN_INPUTS = (RawChunk, MatchSet, Shot, Tick, ParameterChange)
 _LOGGED = (ImuBatch, VehicleState, Rejected)
 _DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED, Reject.FRAME_LOST)

@@ -15,7 +15,7 @@ from companion.records import Record
 ROUNDING_RATIO = 1e-6
 """Largest difference that counts as rounding, of a field's largest value so far: 0.06 mm of 60 m (choice)."""
 _OFF_DIAGONAL = re.compile(r"(?P<field>.*covariance)\[(?P<row>\d+)\]\[(?P<column>\d+)\]")
-_STAMP_SCALE = 1e9  # of integers that are stamps, ns: the ratio allows 1 us
+_STAMP_SCALE = 1e9  # of integers that are stamps, ns: the ratio allows 1 us (choice)
 
 
 @dataclass(slots=True)

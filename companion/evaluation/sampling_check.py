@@ -24,8 +24,8 @@ from companion.records import Axis, Floats, ImuBatch, Ints, Station
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
 from companion.reporting.page import render
 
-_GAP_RATIO = 2.5
-_FEWEST = 10  # samples: of fewer there is no usual step
+_GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
+_FEWEST = 10  # samples: of fewer there is no usual step (choice)
 _NEEDED = f"an accelerometer at each wing tip (left_z, right_z), {REQUIREMENT}"
 
 

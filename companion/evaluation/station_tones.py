@@ -15,9 +15,9 @@ from companion.core.tracking.tone import ToneEstimate, ToneTracker
 from companion.params.airframe import Airframe
 from companion.records import ImuBatch, Reject, Station
 
-_SEARCH_HZ = (1.0, 40.0)
-_WINDOW_S = 4.0
-_EVERY_NS = 1_000_000_000
+_SEARCH_HZ = (1.0, 40.0)  # chosen: from a slow wing's first mode to what is sampled well
+_WINDOW_S = 4.0  # chosen: twenty periods at 5 Hz, for amplitudes that last
+_EVERY_NS = 1_000_000_000  # chosen: windows overlap by three quarters
 
 
 class StationAnalysis:

@@ -21,9 +21,9 @@ from companion.records import Floats, Ints, MatchSet, TriggerPlan
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import MODAL, STEP_NS
 
-_BAND = (0.5, 1.6)  # of the mode's frequency: its resonance, without trim and second mode
-_RANDOM_INSTANTS = 2000  # their mean is known to 2 %
-_AHEAD_STEPS = 400  # of the truth, 1 ms: the longest time from plan to exposure
+_BAND = (0.5, 1.6)  # of the mode's frequency: its resonance, without trim and second mode (choice)
+_RANDOM_INSTANTS = 2000  # their mean is known to 2 % (choice)
+_AHEAD_STEPS = 400  # of the truth, 1 ms: the longest time from plan to exposure (choice)
 _SAME_SHOT_NS = 20_000_000  # shots are 33 ms apart at least, TRG_RATE 30 Hz (derived)
 _RANDOM_SEED = 0xC4A  # convention: keeps these instants apart from the flight's own draws
 

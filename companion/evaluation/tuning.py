@@ -28,7 +28,7 @@ JUDGED = (
     "what is nearer to the truth no replay can tell"
 )
 """How trials are judged, in a sentence."""
-_NEIGHBOURS_S = 1.0  # trusted ranges that are compared with each other
+_NEIGHBOURS_S = 1.0  # trusted ranges that are compared with each other (choice)
 _FACTORS: dict[str, tuple[float, ...]] = {
     "TRK_LAG": (0.5, 1.6),
     "TRK_CALM": (0.5, 2.0),

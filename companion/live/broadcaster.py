@@ -14,10 +14,10 @@ from companion.errors import import_extra
 from companion.live.feed import BIT
 from companion.records import Frame, FramePair, ImuBatch, RawChunk, Station
 
-_BACKLOG = 256  # messages that wait for one client; then the oldest go
+_BACKLOG = 256  # messages that wait for one client; then the oldest go (choice)
 ENDED = "ended"
 """Id of the protocol's status message that says that nothing more comes."""
-_LAST_WORDS_S = 0.4  # the SDK throws away what waits when it stops
+_LAST_WORDS_S = 0.4  # the SDK throws away what waits when it stops (choice)
 
 
 def require_live() -> Any:

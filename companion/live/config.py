@@ -12,10 +12,10 @@ from pathlib import Path
 from companion.errors import ConfigError
 from companion.live.networks import open_addresses
 
-DEFAULT_PORT = 8765  # the one that Foxglove and Lichtblick offer
+DEFAULT_PORT = 8765  # the one that Foxglove and Lichtblick offer (convention)
 DEFAULT_ADDRESS = f"127.0.0.1:{DEFAULT_PORT}"
-_TOKEN_BYTES = 16
-_HIGHEST_PORT = 65_535  # of TCP
+_TOKEN_BYTES = 16  # convention: 128 bits, which nobody guesses
+_HIGHEST_PORT = 65_535  # of TCP (by definition)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,10 @@ from companion.live.config import LiveConfig
 from companion.live.public import public_answer
 from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, HttpAnswer, Request, parse_head, refusal
 
-_HEAD_S = 10.0
+_HEAD_S = 10.0  # chosen: a browser sends its request at once; who dawdles is turned away
 _MOST_CONNECTIONS = 64  # bound of memory
-_CLOSING_S = 2.0
-_CHUNK_BYTES = 262_144
+_CLOSING_S = 2.0  # chosen: transfers end by then, or are cut off with the service
+_CHUNK_BYTES = 262_144  # chosen: few turns for a large file, little memory for each reader
 _SHUT_OUT = (
     "the live view wants its token here: open the address that 'spanwise run --live' prints, "
     "or put ?token=... behind this one"

@@ -16,9 +16,9 @@ from companion.adapters.recordings.mcap.channels import CHANNELS, Recordable
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient
 from companion.records import Frame, FramePair, Notice, ParameterChange, Side
 
-_CAPACITY_BYTES = 4 << 20
-_IMAGE_PERIOD_NS = 500_000_000
-_PARTNER_NS = 20_000_000
+_CAPACITY_BYTES = 4 << 20  # bound of memory: some images wait; what does not fit is dropped
+_IMAGE_PERIOD_NS = 500_000_000  # chosen: two pairs a second show that cameras live, and cost the vision process little
+_PARTNER_NS = 20_000_000  # chosen: both images of a pair are exposed within it
 
 BIT: dict[type, int] = {kind: 1 << place for place, kind in enumerate((Frame, *CHANNELS))} | {FramePair: 1}
 TAPED: int = sum(BIT[kind] for kind in CHANNELS)

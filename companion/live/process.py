@@ -13,8 +13,8 @@ from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver
 from companion.live.config import LiveConfig
 from companion.live.session import LiveSession, Subject
 
-_NICENESS = 10  # of 19: behind everything that flies
-_TURN_S = 0.1
+_NICENESS = 10  # of 19: behind everything that flies (choice)
+_TURN_S = 0.1  # chosen: a wish of the page is met at once to the eye
 
 
 def serve_live(

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-MOST_HEAD_BYTES = 16_384
-MOST_BODY_BYTES = 4_096
+MOST_HEAD_BYTES = 16_384  # bound of memory: browsers' heads have some kilobytes
+MOST_BODY_BYTES = 4_096  # bound of memory: the page's own changes have some hundred bytes
 _SECURITY = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",

@@ -32,8 +32,8 @@ from companion.records import Frame, FramePair, Notice, ParameterChange
 
 _CONTENT = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _MOST_REQUESTS = 64  # bound of memory
-_MOST_EVENTS = 60  # that a page shows
-_MIDWAY = 2  # number of a recording's part whose estimation began before it
+_MOST_EVENTS = 60  # bound of memory: sentences that a page shows
+_MIDWAY = 2  # number of a recording's part whose estimation began before it (convention)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from companion.errors import RecordingError
 
 _NAME = "live.mcap"
 _SUFFIX = ".mcap"
-_MOST_LISTED = 50  # newest first
+_MOST_LISTED = 50  # chosen: newest first: a list that is read
 
 
 class LiveTape:

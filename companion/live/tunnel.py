@@ -9,7 +9,7 @@ from companion.live.requests import MOST_HEAD_BYTES, Request
 
 _SPOKEN = "foxglove.sdk.v1"
 _EARLIER = "foxglove.websocket.v1"  # the same protocol, as Lichtblick before 1.24 and older clients name it
-_CHUNK_BYTES = 65_536
+_CHUNK_BYTES = 65_536  # chosen: few turns for a picture, little memory for each viewer
 _HANDSHAKE = ("upgrade", "connection", "sec-websocket-key", "sec-websocket-version")
 
 

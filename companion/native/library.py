@@ -20,7 +20,7 @@ from companion.native.digest import sources_digest
 
 ARRAY, INTEGER, REAL, RECORD = ctypes.py_object, ctypes.c_int64, ctypes.c_double, ctypes.c_char_p
 _HERE = Path(__file__).resolve().parent
-_BAD_ARRAY, _NO_MEMORY = -1, -2
+_BAD_ARRAY, _NO_MEMORY = -1, -2  # convention: what a kernel returns instead of its result (arrays.h)
 _BUILD = "`make native` builds it in a checkout, `pip install --force-reinstall spanwise` elsewhere"
 
 

@@ -25,10 +25,10 @@ from companion.sim.flight.wing import SUBSTEP_S, integrate
 from companion.sim.vision.scene import Plane, Scene, board, ground
 from companion.units import GRAVITY_MPS2
 
-_BURN_IN_S = 8.0
-_TAIL_S = 2.0
-_NOISE_FROM_HZ = 5.0
-_NOISE_TO_HZ = 200.0
+_BURN_IN_S = 8.0  # chosen: many decay times of the driven modes
+_TAIL_S = 2.0  # chosen: longer than averaging and exposures reach behind the end
+_NOISE_FROM_HZ = 5.0  # chosen: below it a shaker would travel too far
+_NOISE_TO_HZ = 200.0  # convention: the paper's band of the random drive
 
 
 class Drive(enum.StrEnum):

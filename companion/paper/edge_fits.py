@@ -10,10 +10,10 @@ from companion.core.wing.shapes import EdgeFit, EdgePoints, WingShape, fit_polyn
 from companion.paper.modal_peaks import ModalPoints
 from companion.records import Floats
 
-CAMERA_M = 0.99
-TIP_M = 1.0
+CAMERA_M = 0.99  # convention: station of the cameras in the airframe file paper-flying-wing
+TIP_M = 1.0  # convention: the semispan in the airframe file paper-flying-wing
 WHOLE_DEGREE = 6  # the paper's own choice for Fig. 9
-CLAMPED_DEGREE = 4  # two terms beyond the root's clamp: the first mode has no inflection
+CLAMPED_DEGREE = 4  # two terms beyond the root's clamp: the first mode has no inflection (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,9 +23,9 @@ from companion.params.files import load_airframe
 from companion.records import ClockName, Floats, MatchSet, Side
 from companion.units import Orientation
 
-_AXIS = np.array([0.48, -0.6, 0.64])  # a unit vector
-_ANGLE_RAD = 0.7
-_STEP = 1e-3  # of the beam's length, for differences
+_AXIS = np.array([0.48, -0.6, 0.64])  # chosen: a unit vector with no component zero
+_ANGLE_RAD = 0.7  # chosen: large enough that no small-angle formula passes
+_STEP = 1e-3  # of the beam's length, for differences (numerical)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 from companion.sim.vision.scene import Scene, ground_scene
 
-_RANDOM_SHOTS_PER_S = 2.5
-_PEAK_RATE_HZ = 3.0
-_LAG_S = 0.8  # the smoother needs the samples after a shot
+_RANDOM_SHOTS_PER_S = 2.5  # chosen: about as many as the trigger takes, so that both scores are as good
+_PEAK_RATE_HZ = 3.0  # chosen: at most three shots a second, as the page of set-ups states
+_LAG_S = 0.8  # the smoother needs the samples after a shot (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

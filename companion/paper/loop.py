@@ -36,10 +36,10 @@ from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 from companion.sim.vision.scene import Scene
 
-_TICK_NS = 10_000_000
-_VISION_NS = 60_000_000
+_TICK_NS = 10_000_000  # convention: the live service's (service/inertial.py)
+_VISION_NS = 60_000_000  # chosen: what a small companion computer may take for a pair
 WARM_UP_S = 2.0
-"""Before shots count the planner fires already, so that the trigger's latency is learned."""
+"""Before shots count the planner fires already, so that the trigger's latency is learned (choice)."""
 
 _RANDOM_PLAN = -1  # convention: no plan has a negative number
 _PAIR = "pair "

@@ -17,17 +17,21 @@ from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.core.wing.shapes import EdgePoints
 from companion.records import Floats
 
-RATE_HZ = 200.0
-INCH_M = 0.0254  # exact
-_SMOOTHING = 15  # bins of the spectrum that are averaged
-GVT_BAND_HZ = (8.5, 10.2)
-_GVT_RUNS = 10  # roving runs in the published data set, five a side
-_GVT_RATE_HZ = 2000
+RATE_HZ = 200.0  # chosen: a tenth of the data set's rate, far above the first mode
+INCH_M = 0.0254  # exact (by definition)
+_SMOOTHING = 15  # chosen: bins of the spectrum that are averaged: narrow beside a mode, enough for H1
+GVT_BAND_HZ = (8.5, 10.2)  # chosen: holds the first symmetric bending of every run and no other mode
+_GVT_RUNS = 10  # roving runs in the published data set, five a side (convention)
+_GVT_RATE_HZ = 2000  # convention: rate of the published data set
+# convention: 0.4684 V/lbf and 1.028 V/g, stated with the data set
 _LBF_PER_VOLT, _G_PER_VOLT = 1.0 / 0.4684, 1.0 / 1.028
 # x in inches, positive to the left wing, of leading (even index) and trailing edge points, from the centre outward
+# (convention: stated with the data set)
 _GVT_X_IN = (17.87, 16.00, 27.14, 25.27, 36.42, 34.54, 45.69, 43.81, 54.96, 53.09)
 # along the flow at the outermost trailing edge point, where the leading edge runs from (45.69, 30.27) to (54.96, 34.01)
+# (derived)
 _GVT_SWEEP = (34.01 - 30.27) / (54.96 - 45.69)
+# derived: trailing edge less the leading edge beside it, by the sweep above
 GVT_TIP_CHORD_M = INCH_M * (38.65 - (34.01 - _GVT_SWEEP * (54.96 - 53.09)))
 
 

@@ -27,8 +27,8 @@ NAMES = {
 }
 _PUBLISHED_WAY = {"published": "published_trusted"}  # what leaves the service
 _TOLD_APART = {"corrected": -0.002, "published": 0.002}  # of the axis: dots of one shot lie beside each other
-_STEP = 0.2  # drawing: bar width, in groups
-_MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors
+_STEP = 0.2  # drawing: bar width, in groups (choice)
+_MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors (derived)
 _WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
 
 

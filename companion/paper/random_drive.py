@@ -13,7 +13,7 @@ from companion.paper.shaken_boom import WINDOW_S, Response, Shaken, respond, sha
 from companion.params.files import load_airframe
 from companion.records import Floats
 
-_SHOWN_S = 2.0
+_SHOWN_S = 2.0  # chosen: some twenty periods, each to be seen
 
 
 def section() -> Section:

@@ -11,7 +11,7 @@ from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed_image
 from companion.reporting.page import render
 
-_POINTS_PER_IN = 72.0
+_POINTS_PER_IN = 72.0  # by definition
 _SYMBOLS = (
     (r"\bbeta\*l\b", "βl"),
     (r"\bomega_([123])\b", lambda match: "ω" + "₁₂₃"[int(match[1]) - 1]),

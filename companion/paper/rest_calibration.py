@@ -27,11 +27,11 @@ from companion.records import Floats, MatchSet
 from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 
-_EDGES_NS = (500_000_000, 900_000_000, 1_300_000_000)
-_STEPS = 4  # Newton steps
-_DIFFERENCE = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2])
-_ROTATION_SIGMA_RAD = 0.003  # wide: a hanging wing's static bend is in it
-_COMMON_PX = 0.02
+_EDGES_NS = (500_000_000, 900_000_000, 1_300_000_000)  # chosen: three pictures, whose noise averages
+_STEPS = 4  # Newton steps (numerical)
+_DIFFERENCE = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2])  # numerical: rad and px, of the difference quotients
+_ROTATION_SIGMA_RAD = 0.003  # wide: a hanging wing's static bend is in it (choice)
+_COMMON_PX = 0.02  # chosen: what all matches of a picture may share (core/stereo/ranging.py)
 
 
 def calibrate(setup: Setup, settings: Settings, distances_m: Sequence[float]) -> Airframe:

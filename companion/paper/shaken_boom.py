@@ -17,11 +17,11 @@ from companion.records import Floats
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 
 WINDOW_S = 8.0
-"""Of each average: bins a third as wide as the peak of a mode of 1 % damping."""
+"""Of each average: bins a third as wide as the peak of a mode of 1 % damping (choice)."""
 
-_SHAKER_RMS_MPS2 = 1.0
+_SHAKER_RMS_MPS2 = 1.0  # convention: the closed forms are linear, any drive gives the same shares
 _SEED = 11  # convention: any fixed number
-_BURN_IN_S = 5.0
+_BURN_IN_S = 5.0  # chosen: many decay times of the boom's first mode
 
 
 @dataclass(frozen=True, slots=True, eq=False)

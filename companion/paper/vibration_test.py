@@ -14,13 +14,13 @@ from companion.records import Floats
 from companion.sim.flight.perturb import draw_truth
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 
-TESTS = 8  # repeated tests: a spread known to a quarter
-STATIONS_M = (0.2, 0.4, 0.6, 0.8, TIP_M)
-GAIN_SIGMA = 0.01  # of each accelerometer
+TESTS = 8  # repeated tests: a spread known to a quarter (choice)
+STATIONS_M = (0.2, 0.4, 0.6, 0.8, TIP_M)  # chosen: five pairs of accelerometers a half, as in the measured test
+GAIN_SIGMA = 0.01  # chosen: of each accelerometer: a calibrated one
 _SEED = 9  # convention: any fixed number
-_TEST_S = 60.0
-_SWEEP_HZ = (1.0, 40.0)
-_FORCE_MPS2 = 0.5
+_TEST_S = 60.0  # chosen: a sweep slow beside the modes' ringing
+_SWEEP_HZ = (1.0, 40.0)  # chosen: both bending modes and their sides
+_FORCE_MPS2 = 0.5  # convention: the wing is linear; only the sensors' noise compares with it
 
 
 def true_shapes(airframe: Airframe) -> tuple[BeamMode, BeamMode]:

@@ -18,8 +18,8 @@ from companion.params.airframe import Airframe, Uncertain
 from companion.params.persist import write_atomically
 from companion.records import TriggerLatency
 
-_LEAST_SHOTS = 10  # for a spread known to a quarter
-_LONGEST_S = 0.5
+_LEAST_SHOTS = 10  # for a spread known to a quarter (choice)
+_LONGEST_S = 0.5  # chosen: the longest latency that is learned in flight (core/trigger/latency.py)
 _SIDES = ("left", "right")
 
 

@@ -16,7 +16,7 @@ from companion.params.settings import Tunable, tunables
 
 GENERAL_FILE, PARAMETER_FILE, PDEF_FILE = "/general.json", "/parameter.json", "/apm.pdef.xml"
 _VEHICLE = "Spanwise"
-_PARAMETER_TYPE = 1  # component information's COMP_METADATA_TYPE_PARAMETER
+_PARAMETER_TYPE = 1  # component information's COMP_METADATA_TYPE_PARAMETER (convention)
 _GROUPS = {"SW": "Identity", "TRK": "Tracking", "TRG": "Triggering", "RNG": "Ranging", "OUT": "Outputs", "IMU": "Rates"}
 
 

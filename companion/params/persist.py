@@ -21,7 +21,7 @@ from companion.errors import ConfigError
 from companion.params.settings import tunables
 
 _HEAD = "# spanwise parameters, crc32 "
-_LARGEST_BYTES = 65_536
+_LARGEST_BYTES = 65_536  # chosen: many times what all parameters fill; a larger file is not ours
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,9 +94,9 @@ RANGES: dict[str, dict[str, Range]] = {
 }
 _SHORTEST_BASELINE_M = 0.01  # shorter ones are a slip of units (choice)
 _MOST_RELATIVE_SIGMA = 5.0  # a belief so wide says nothing (choice)
-_FLATTEST_RADPM = 0.001  # a cantilever of 50 m semispan has 0.03
+_FLATTEST_RADPM = 0.001  # a cantilever of 50 m semispan has 0.03 (choice)
 _LOWEST_CORNER_HZ = 0.001  # a random walk, for every flight (choice)
-_BEYOND_TIP = 1.5  # of the semispan: cameras on booms ahead of or beyond the tip
+_BEYOND_TIP = 1.5  # of the semispan: cameras on booms ahead of or beyond the tip (choice)
 _LETTERS = "xyzpqr"
 _DISTORTION_TERMS = 5  # OpenCV's k1 k2 p1 p2 k3
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-_MAVLINK_NAME_LENGTH = 16  # characters of PARAM_VALUE.param_id
+_MAVLINK_NAME_LENGTH = 16  # characters of PARAM_VALUE.param_id (by definition)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-LARGEST = 1e300  # far below the largest float, so that squares do not overflow
+LARGEST = 1e300  # far below the largest float, so that squares do not overflow (numerical)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

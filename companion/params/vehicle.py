@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _LONGEST_RANGE_M = 1000.0  # choice
-_TYPES = 127.0  # INT8
+_TYPES = 127.0  # INT8 (by definition)
 _ORIENTATIONS = 101.0  # MAV_SENSOR_ROTATION_CUSTOM and below
-_BITS_16 = 65535.0  # a 16-bit mask
+_BITS_16 = 65535.0  # a 16-bit mask (by definition)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ import socket
 from dataclasses import dataclass
 from typing import Any
 
-_BUFFER_BYTES = 4 << 20
-_LARGEST_MESSAGE = 1 << 20  # bytes
+_BUFFER_BYTES = 4 << 20  # chosen: some images' worth of matches, so that a busy reader loses none
+_LARGEST_MESSAGE = 1 << 20  # chosen: bytes: room for the longest record, below the socket's buffer
 
 
 @dataclass(slots=True)

@@ -33,9 +33,9 @@ from companion.service.pace import Overload, TickPace
 from companion.service.parameter_request import ParameterRequest
 from companion.units import Severity
 
-TICK_NS = 10_000_000
-_POLL_S = 0.002
-_SECOND_NS = 1_000_000_000
+TICK_NS = 10_000_000  # chosen: a hundred turns a second, four for each plan
+_POLL_S = 0.002  # chosen: samples wait no longer than this, and the turn is never late by more
+_SECOND_NS = 1_000_000_000  # by definition
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
 _UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
 

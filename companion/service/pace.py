@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-WINDOW_NS = 2_000_000_000
+WINDOW_NS = 2_000_000_000  # chosen: longer than any pause for collection or a neighbour's burst
 _LATE_NS = 20_000_000
 """Ticks are asked every 10 ms. Plans are made 40 ms apart and expire 10 ms after their instant: with ticks more than
-20 ms apart their refinements come too late to be fired, and stamps of what was read are as uncertain."""
-_IN_TIME_NS = 14_000_000
+20 ms apart their refinements come too late to be fired, and stamps of what was read are as uncertain (derived)."""
+_IN_TIME_NS = 14_000_000  # chosen: well clear of the limit before, so that nothing flickers
 _FULL, _SPARE = 0.95, 0.85
-"""Share of its time that vision works: from 0.95 on each pair makes the next one later, until images are lost."""
-_WINDOWS = 2  # in a row, before it is said: starting up is no verdict
+"""Share of its time that vision works: from 0.95 on each pair delays the next, until images are lost (choice)."""
+_WINDOWS = 2  # in a row, before it is said: starting up is no verdict (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,17 +24,17 @@ from typing import Any
 from companion.lifetime import die_with_parent
 from companion.ports import Clock
 
-_STOP_S = 1.2
-_LAST_STOP_S = 2.0
-_TERMINATED_S = 0.4
-_KILLED_S = 0.2  # nothing outlives SIGKILL, but the kernel takes a moment
-_MOST_RESTARTS = 5  # of a process that never came to work
-_SECOND_NS = 1_000_000_000
-_STEADY_NS = 60 * _SECOND_NS
-_LONGEST_PAUSE_NS = 30 * _SECOND_NS
+_STOP_S = 1.2  # chosen: with the next two, all is over within 3 s
+_LAST_STOP_S = 2.0  # chosen: the recorder has time for what the others leave
+_TERMINATED_S = 0.4  # chosen: a process that hears SIGTERM ends within it
+_KILLED_S = 0.2  # nothing outlives SIGKILL, but the kernel takes a moment (choice)
+_MOST_RESTARTS = 5  # of a process that never came to work (choice)
+_SECOND_NS = 1_000_000_000  # by definition
+_STEADY_NS = 60 * _SECOND_NS  # chosen: a process that was set up wrongly does not live for a minute
+_LONGEST_PAUSE_NS = 30 * _SECOND_NS  # chosen: a camera that was plugged in again is found half a minute later
 
-_SETTLED_NS = 5 * _SECOND_NS
-_LOOK_S = 0.2
+_SETTLED_NS = 5 * _SECOND_NS  # chosen: the new process has the machine to itself while it starts
+_LOOK_S = 0.2  # chosen: how late a waiting process sees that it is to end
 
 SPAWN = multiprocessing.get_context("spawn")
 

@@ -11,7 +11,7 @@ from companion.ports import CameraPair, Clock, Recorder
 from companion.records import ClockName, Frame, MatchSet, ParameterChange, Record, Reject, Rejected, TriggerPlan
 from companion.service.pace import Overload, VisionPace
 
-_POLL_S = 0.05
+_POLL_S = 0.05  # chosen: settings and the end are seen within it, frames at once
 
 
 def run(

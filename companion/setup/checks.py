@@ -14,9 +14,9 @@ from companion.setup.boards import CompanionBoard, model
 from companion.setup.tree import Tree
 
 GROUPS = ("dialout", "gpio", "video", "plugdev")
-_PYTHON = (3, 11)
-_DISK_GB = 2.0  # recordings and the compiler's cache, for a start
-_MEMORY_GB = 1.5  # the service with its reserve, beside the system
+_PYTHON = (3, 11)  # convention: the oldest that the package takes (pyproject.toml)
+_DISK_GB = 2.0  # recordings and the compiler's cache, for a start (choice)
+_MEMORY_GB = 1.5  # the service with its reserve, beside the system (choice)
 
 
 @dataclass(frozen=True, slots=True)

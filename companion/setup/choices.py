@@ -12,7 +12,7 @@ from companion.params.links import LinkKind, parse_link
 from companion.setup.boards import CompanionBoard
 from companion.setup.tree import Tree
 
-_NODE_BAUD = 921600  # carries 1 kHz of a node (tools/wing_node)
+_NODE_BAUD = 921600  # carries 1 kHz of a node (tools/wing_node; choice)
 _ROUTED = "udpin:127.0.0.1:14550"
 _WORD = re.compile(r"[A-Za-z0-9_./:,+@=-]*")
 _ROUTERS = ("usr/bin/mavlink-routerd", "usr/local/bin/mavlink-routerd")

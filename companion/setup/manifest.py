@@ -12,7 +12,7 @@ from companion.errors import SetupError
 from companion.setup.tree import Entry, File, Symlink, Tree
 
 NAME = "var/lib/spanwise-setup/manifest.json"
-_FORMAT = 1  # version of the manifest
+_FORMAT = 1  # version of the manifest (convention)
 
 
 @dataclass(frozen=True, slots=True)

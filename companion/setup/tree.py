@@ -12,7 +12,7 @@ from pathlib import Path
 
 from companion.errors import SetupError
 
-_NEW_FILE_MODE = 0o644  # read by everybody, written by the owner
+_NEW_FILE_MODE = 0o644  # read by everybody, written by the owner (convention)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from companion.records import Bytes, ClockName, Frame, Side
 _FOLDERS = ("cam0", "cam1")
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 NO_PLAN = -1
-"""Recorded images do not know which plan opened their shutter."""
+"""Recorded images do not know which plan opened their shutter (convention)."""
 
 
 @dataclass(frozen=True, slots=True)

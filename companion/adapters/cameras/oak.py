@@ -22,7 +22,7 @@ from companion.errors import DeviceError, import_extra
 from companion.records import ClockName, Frame, Side
 
 PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
-_POLL_S = 0.001
+_POLL_S = 0.001  # chosen: a frame waits no longer than this, and the loop costs next to nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any
 from companion.adapters.triggers.oak import WORD, SoftLine
 from companion.errors import DeviceError
 
-_WAIT_S = 0.1
+_WAIT_S = 0.1  # chosen: how long the end of the process may go unnoticed
 _SCRIPT = """
 import time
 import GPIO

@@ -19,10 +19,10 @@ from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Notice, S
 from companion.units import Severity
 
 _Kind = TypeVar("_Kind")
-BATCH_NS = 20_000_000
-_GAP_RATIO = 2.5  # of the median step: more is a gap
-_FINEST_STEP_NS, _COARSEST_STEP_NS = 2e4, 2e8  # the rates that an airframe may have
-_JITTER_RATIO = 0.15  # of the median step: a wider spread of the steps is told
+BATCH_NS = 20_000_000  # chosen: as a live read: two ticks of the service at 100 Hz
+_GAP_RATIO = 2.5  # of the median step: more is a gap (choice)
+_FINEST_STEP_NS, _COARSEST_STEP_NS = 2e4, 2e8  # the rates that an airframe may have (derived)
+_JITTER_RATIO = 0.15  # of the median step: a wider spread of the steps is told (choice)
 
 
 class Recording(Protocol):

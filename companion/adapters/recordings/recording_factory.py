@@ -20,7 +20,7 @@ from companion.params.airframe import Airframe
 _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
 SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
 """Endings of recordings that are a file, in lower case."""
-_MOST_NAMED = 5  # files of a folder, in a sentence
+_MOST_NAMED = 5  # chosen: files of a folder that a sentence names and stays legible
 
 
 def open_recording(path: Path | str, airframe: Airframe | None = None) -> Recording:

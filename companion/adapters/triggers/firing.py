@@ -14,9 +14,9 @@ from companion.ports import Trigger
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 SPIN_NS = 300_000
-"""A sleeping process wakes late by up to some 200 us even when real-time; the rest is spun."""
-_IDLE_S = 0.1
-_MEMORY_NS = 2_000_000_000
+"""A sleeping process wakes late by up to some 200 us even when real-time; the rest is spun (choice)."""
+_IDLE_S = 0.1  # chosen: how late the trigger process sees that it is to end
+_MEMORY_NS = 2_000_000_000  # chosen: a plan is not fired twice; one is forgotten long after its instant
 
 
 class WaitingPlan:

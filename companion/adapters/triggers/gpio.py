@@ -10,7 +10,7 @@ import time
 from companion.errors import DeviceError, import_extra
 from companion.records import Shot, TriggerPlan
 
-_WIDTH_NS = 500_000
+_WIDTH_NS = 500_000  # chosen: long enough for an optocoupler or a camera's input filter, and it is spun through
 
 
 class GpioTrigger:

@@ -19,8 +19,8 @@ MAV_CMD_DO_DIGICAM_CONTROL = 203  # MAVLink, as ArduPilot knows it
 MAV_CMD_DO_REPEAT_RELAY = 182  # MAVLink common.xml
 MAV_CMD_DO_REPEAT_SERVO = 184  # MAVLink common.xml
 _ALL_CAMERAS = 0.0  # target of IMAGE_START_CAPTURE (MAVLink common.xml)
-_LARGEST_EXACT_FLOAT32 = 1 << 24  # largest count that a command's float parameter holds exactly
-_PULSE_S = 0.05
+_LARGEST_EXACT_FLOAT32 = 1 << 24  # largest count that a command's float parameter holds exactly (derived)
+_PULSE_S = 0.05  # chosen: a relay or servo follows 50 ms, and the line is low again before the next shot
 
 
 @dataclass(frozen=True, slots=True)

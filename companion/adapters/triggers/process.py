@@ -22,8 +22,8 @@ from companion.ports import Trigger
 from companion.records import Rejected, Shot, TriggerPlan
 
 _SPAWN = multiprocessing.get_context("spawn")
-_START_S = 20.0
-_STOP_S = 2.0
+_START_S = 20.0  # chosen: a busy small computer imports slowly
+_STOP_S = 2.0  # chosen: a process that ends takes milliseconds; a stuck one holds the end up no longer
 
 
 def line_pair() -> tuple[socket.socket, socket.socket]:

@@ -9,9 +9,9 @@ import os
 from companion.adapters.triggers.wire import Realtime
 from companion.lifetime import process_control
 
-_PRIORITY = 50  # SCHED_FIFO, 1 to 99: the middle
+_PRIORITY = 50  # SCHED_FIFO, 1 to 99: the middle (choice)
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
-_MCL_CURRENT = 1  # not MCL_FUTURE: under a memlock limit that makes later allocations fail
+_MCL_CURRENT = 1  # not MCL_FUTURE: under a memlock limit that makes later allocations fail (by definition)
 
 
 def become_realtime(fifo: bool = True) -> Realtime:

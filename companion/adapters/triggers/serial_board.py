@@ -16,13 +16,13 @@ from companion.errors import DeviceError
 from companion.records import Shot, TriggerPlan
 
 LEAD_NS = 4_000_000
-"""From the call of ``fire`` to the edge: what a slow USB link needs to deliver a line. A constant latency, learned."""
-_ANSWER_S = 0.05
-_WAKE_S = 3.0
-_FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset
-_EXCHANGES = 32  # newest exchanges that the clock rests on
-_DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age
-_WIDTH_US = 1000
+"""From the call of ``fire`` to the edge: a slow USB link's time for a line; a constant latency, learned (choice)."""
+_ANSWER_S = 0.05  # chosen: many times what a slow USB link needs for a line
+_WAKE_S = 3.0  # chosen: boards whose boot loader waits start within two seconds
+_FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset (choice)
+_EXCHANGES = 32  # chosen: newest exchanges that the clock rests on: quick ones enough, and young
+_DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
+_WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
 
 
 @dataclass(frozen=True, slots=True)

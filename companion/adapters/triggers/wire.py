@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
-LARGEST = 512  # bytes of a message
+LARGEST = 512  # chosen: bytes of a message: a plan and a long reason fit in
 _PLAN = struct.Struct("<Bqqqqqqdbb")
 _SHOT = struct.Struct("<Bqqq")
 _REJECTED = struct.Struct("<Bbqq")
@@ -16,7 +16,7 @@ _READY = struct.Struct("<B???")
 _CHECK = struct.Struct("<I")
 _FIRINGS = tuple(Firing)
 _REJECTS = tuple(Reject)
-_IS_PLAN, _IS_SHOT, _IS_REJECTED, _IS_READY = 1, 2, 3, 4  # first byte of a message
+_IS_PLAN, _IS_SHOT, _IS_REJECTED, _IS_READY = 1, 2, 3, 4  # first byte of a message (convention)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from companion.calibration.live import LiveViews, Taken
 from companion.errors import ConfigError
 from companion.ports import CameraPair
 
-_POLL_S = 0.2
+_POLL_S = 0.2  # chosen: five looks a second are enough for a board held by hand
 _PREVIEW = "live.jpg"
 
 

@@ -29,8 +29,8 @@ from companion.sim.vision.cameras import SimCameraPair, SimTriggerLine
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
-_SETTLE_S = 1.5
-_START_S = 300.0  # a machine may be busy
+_SETTLE_S = 1.5  # chosen: the last shots get through the smoother's lag and the recorder
+_START_S = 300.0  # a machine may be busy (choice)
 
 
 @dataclass(slots=True)

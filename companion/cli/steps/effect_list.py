@@ -8,8 +8,8 @@ import textwrap
 from companion.core.wing.effect import Effect, Group
 from companion.core.wing.effects import catalogue
 
-_WIDTH = 118  # characters of a terminal that is not narrow
-_INDENT = 44  # characters
+_WIDTH = 118  # characters of a terminal that is not narrow (choice)
+_INDENT = 44  # chosen: characters: name and size of an effect fit before its summary
 
 
 def add_effect_list(parser: argparse.ArgumentParser, heading: str) -> None:

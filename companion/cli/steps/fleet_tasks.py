@@ -19,7 +19,7 @@ from companion.evaluation.pages.flight_report import render
 from companion.params.files import load_airframe
 
 NO_PAGES = "--no-pages"  # among a task's words: no page for its file
-_MOST_SAID = 400  # characters of a reason
+_MOST_SAID = 400  # chosen: characters of a reason: a cell of the table stays legible
 
 
 def work(task: FileTask) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from companion.params.settings import Settings
 from companion.sim.flight.worlds import IDEAL
 
 _SHORT_HEADS = ("air", "range finder", "n", "flare", "high", "none", "sink", "place", "around")  # a terminal is narrow
-_ENOUGH = 10  # landings of a kind, as the published tables have
+_ENOUGH = 10  # landings of a kind, as the published tables have (choice)
 
 
 def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) -> int:

@@ -29,13 +29,13 @@ from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
 from companion.sim.vehicle.world import World, WorldOptions
 from companion.sim.vision.cameras import Shutters
 
-READOUT_NS = 6_000_000
+READOUT_NS = 6_000_000  # convention: the simulated cameras' own (sim/vision/camera_server.py)
 MATCHING_NS = 80_000_000
-"""What a small companion computer may take for a pair; a desktop core takes 30 to 35 ms for 640 x 480."""
+"""What a small companion computer may take for a pair; a desktop core takes 30 to 35 ms for 640 x 480 (choice)."""
 FIRE_LATE_NS = 8_000
 """Mean of the exponential by which the line is pulled late: 99 % within 37 us, as the bench measured (README)."""
-_IMAGE_PERIOD_NS = 500_000_000  # of the live view
-_AFTER_S = 0.7  # the last shots get through the smoother's lag, and the vehicle's silence is not yet a fault
+_IMAGE_PERIOD_NS = 500_000_000  # convention: the live view's two pairs a second (live/feed.py)
+_AFTER_S = 0.7  # the last shots get through the smoother's lag, and the vehicle's silence is not yet a fault (choice)
 
 
 class LockStepCameras:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-_LONGEST_S = 1e6
+_LONGEST_S = 1e6  # chosen: eleven days: beyond it a number is a slip
 
 
 def seconds(text: str) -> float:

@@ -10,8 +10,8 @@ from companion.live.feed import ImagePace
 from companion.live.session import LiveSession
 from companion.records import Frame, FramePair, ImuBatch, Record, Tick
 
-_TURN_S = 0.1
-_LONGEST_PAUSE_S = 2.0  # a gap of the recording is not waited for
+_TURN_S = 0.1  # chosen: a wish of the page is met at once to the eye
+_LONGEST_PAUSE_S = 2.0  # a gap of the recording is not waited for (choice)
 
 
 class PacedView:

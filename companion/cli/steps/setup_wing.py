@@ -29,8 +29,8 @@ from companion.sim.vehicle.world import World, WorldOptions
 BENCH_STEPS = ("nodes", "taps", "tilts", "modes")
 STEPS = (*BENCH_STEPS, "stereo", "range")
 SIMULATED = "sim"
-_LOOK_NS = 2_000_000  # of simulated time between two looks at the link
-_PLUCKS, _PLUCK_S = 16, 3.1  # of the simulated hand, and the time between two
+_LOOK_NS = 2_000_000  # of simulated time between two looks at the link (choice)
+_PLUCKS, _PLUCK_S = 16, 3.1  # of the simulated hand, and the time between two (choice)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -32,12 +32,12 @@ LIMIT_S = 60.0
 """Longest wait for a handling (choice)."""
 PLUCKING_S = 40.0
 """Listening to a plucked wing: 200 swings of 5 Hz (choice)."""
-_WINDOW_NS = 1_000_000_000
-_AFTER_TAP_NS = 700_000_000
-_KEPT_NS = 30_000_000_000  # of samples, beyond any handling
-_BAND_HZ = (2.0, 40.0)  # where wings have their first modes; as of identify flight
+_WINDOW_NS = 1_000_000_000  # chosen: a second of stillness, which a hand can hold
+_AFTER_TAP_NS = 700_000_000  # chosen: a tap's ringing has passed, and both tips' samples have arrived
+_KEPT_NS = 30_000_000_000  # of samples, beyond any handling (choice)
+_BAND_HZ = (2.0, 40.0)  # where wings have their first modes; as of identify flight (choice)
 _SIGMAS = 3.0  # beyond, the file is of another wing (choice)
-_LEAST_SIGMA_HZ = 0.01  # of any frequency (choice)
+_LEAST_SIGMA_HZ = 0.01  # chosen: of any frequency: no test in the field knows one better
 _SUBJECTS = ("link", "heartbeat", "wire", "routing", "wing", "clock")
 
 

@@ -24,7 +24,7 @@ from companion.records import (
     ServiceStatus,
 )
 
-_RECENT = 4  # sentences that stay on the screen
+_RECENT = 4  # chosen: sentences that stay on the screen and leave room for the figures
 _TRUSTED = "trusted"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from companion.records import Health, ServiceStatus
 
 START_S = 3.0
-"""Usual time from the first process to the open links: ``python -m tools.bench start``."""
+"""Usual time from the first process to the open links: ``python -m tools.bench start`` (measured)."""
 FIRST_REPEAT_S = 5.0
 """Pause before an unchanged line is said again (choice); each further pause is twice as long."""
 LONGEST_REPEAT_S = 60.0

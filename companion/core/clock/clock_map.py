@@ -15,9 +15,10 @@ from companion.core.kernels.arrays import plain
 from companion.native.library import ARRAY, INTEGER, kernel
 from companion.records import Ints
 
-MOST_SLEW = 1e-3  # sample spacing is torn by 0.1 % at most, below what the filter feels
-_STEER_NS = 2.5e9  # half of the time after which a silent clock is lost: an error can only swing to its opposite
-_KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother asks for
+MOST_SLEW = 1e-3  # sample spacing is torn by 0.1 % at most, below what the filter feels (choice)
+# half of the time after which a silent clock is lost: an error can only swing to its opposite (derived)
+_STEER_NS = 2.5e9
+_KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother asks for (choice)
 
 
 _to_host = kernel("clock_to_host", ARRAY, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)

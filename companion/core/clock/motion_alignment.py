@@ -26,22 +26,26 @@ from companion.params.airframe import Sensor
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, TimesyncReply
 
 MOST_DELAY_NS = 60_000_000
-"""From a sample to its arrival, at most; a slower link cannot be aligned."""
-SIGMAS = 4.0  # half width of an exchange made from a lag: false in 6 of 100,000
+"""From a sample to its arrival, at most; a slower link cannot be aligned (choice)."""
+SIGMAS = 4.0  # half width of an exchange made from a lag: false in 6 of 100,000 (choice)
 LARGEST_SIGMA_S = 0.0025
-"""A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees."""
+"""A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees (choice)."""
+# chosen: a lag of 12 s of motion changes little in 2 s; until the first, one is looked for more often
 _EVERY_S, _COARSE_S = 2.0, 0.5
-_WINDOW_S, _SMOOTH_S = 12.0, 0.8  # a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on
+# a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on (choice)
+_WINDOW_S, _SMOOTH_S = 12.0, 0.8
+# chosen: twice the two above, for what the wing itself moves grows with the square of the frequency
 _HEAVE_WINDOW_S, _HEAVE_SMOOTH_S = 24.0, 1.6
-_CELL_S = 0.02  # 50 cells a second, far above the smoothing
-_BLOCK = 75  # cells in 1.5 s
-_SEARCH_S = 0.004  # coarse step: Gauss-Newton converges from half of it
-_STAMPS_SIGMA_S = 0.0003  # what the stamps themselves leave open: an autopilot's are of sending, 0.1 to 0.6 ms late
-_HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag
-_LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others
-_NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay
-_GAUSS_NEWTON_STEPS = 4  # after the coarse search (choice)
-_BUFFER_S = 32.0  # the longer window and the largest delay
+_CELL_S = 0.02  # 50 cells a second, far above the smoothing (choice)
+_BLOCK = 75  # cells in 1.5 s (derived)
+_SEARCH_S = 0.004  # coarse step: Gauss-Newton converges from half of it (choice)
+# what the stamps themselves leave open: an autopilot's are of sending, 0.1 to 0.6 ms late (choice)
+_STAMPS_SIGMA_S = 0.0003
+_HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag (choice)
+_LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others (choice)
+_NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay (choice)
+_GAUSS_NEWTON_STEPS = 4  # chosen: steps after the coarse search, which is near; more move nothing
+_BUFFER_S = 32.0  # the longer window and the largest delay (derived)
 
 
 @dataclass(frozen=True, slots=True)

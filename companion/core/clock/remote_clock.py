@@ -11,22 +11,22 @@ from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, ClockFit,
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
-"""Silence of the exchanges after which the clock counts as lost."""
+"""Silence of the exchanges after which the clock counts as lost (choice)."""
 MOST_BOUND_NS = 10_000_000
-"""A clock known less well than this is not synced."""
-MOST_ROUND_TRIP_NS = 1_000_000_000  # a longer one bounds nothing useful
+"""A clock known less well than this is not synced (choice)."""
+MOST_ROUND_TRIP_NS = 1_000_000_000  # a longer one bounds nothing useful (choice)
 MOST_DELAY_NS = 500_000_000
-"""A sample that claims to be older than this on arrival belongs to another life of its clock."""
-_FEWEST_EXCHANGES = 3  # two set a line, the third contradicts a false one
-_SETTLED_EXCHANGES = 8  # 0.8 s at 10 Hz
+"""A sample that claims to be older than this on arrival belongs to another life of its clock (choice)."""
+_FEWEST_EXCHANGES = 3  # two set a line, the third contradicts a false one (choice)
+_SETTLED_EXCHANGES = 8  # 0.8 s at 10 Hz (choice)
 _SETTLED_SPAN_NS = 1_500_000_000  # a restarted clock waits no longer than this (choice)
-_GOOD_BOUND_NS = 2_000_000  # of the mode's phase at 5 Hz it is 3.6 degrees
-_BEFORE_FIRST_NS = 2_000_000_000  # samples may be older than the first exchange by what a link buffers
-_MOST_LAG_NS = 50_000_000  # a restart goes back by seconds, a busy simulator by milliseconds
+_GOOD_BOUND_NS = 2_000_000  # of the mode's phase at 5 Hz it is 3.6 degrees (choice)
+_BEFORE_FIRST_NS = 2_000_000_000  # samples may be older than the first exchange by what a link buffers (choice)
+_MOST_LAG_NS = 50_000_000  # a restart goes back by seconds, a busy simulator by milliseconds (choice)
 _WARMING_SKEW = 20e-6
-"""By how much a restart may have changed a crystal: half a minute's cooling of a cheap one."""
+"""By how much a restart may have changed a crystal: half a minute's cooling of a cheap one (choice)."""
 _AS_GOOD = 3.0  # times the bound before a restart (choice)
-_LEAST_GOAL_NS = 50e3  # no link is asked for better after a restart
+_LEAST_GOAL_NS = 50e3  # no link is asked for better after a restart (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ WINDOW_NS = 60_000_000_000  # drift of the skew loosens older exchanges by more 
 MOST_SKEW = 500e-6  # far beyond any crystal (choice)
 ANY_SKEW = (-MOST_SKEW, MOST_SKEW)
 SKEW_DRIFT_PER_S = 5e-8
-"""How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s."""
-_BUCKET_NS = 1_000_000_000  # one pair of bounds a second: sixty in all
-_ENOUGH = 4  # exchanges in a second that allow leaving the tightest out
+"""How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s (derived)."""
+_BUCKET_NS = 1_000_000_000  # one pair of bounds a second: sixty in all (choice)
+_ENOUGH = 4  # exchanges in a second that allow leaving the tightest out (choice)
 _CAREFUL_NS = 10_000_000_000
 """As long the tightest upper bound of a second is not believed, where the second has so many exchanges."""
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
@@ -24,10 +24,10 @@ _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
 by whole physics frames), are tried only when the exchanges contradict each other without them, and widen the bound."""
 _FINE_NS = _TOLERANCES_NS[1]
 LONGEST_LAG_NS = 1_000_000_000
-"""As long a simulated autopilot may be behind before it catches up."""
+"""As long a simulated autopilot may be behind before it catches up (choice)."""
 _NEAR_NS = 300_000_000
-"""So near to an exchange that was caught, others may have been read of a clock that was only a little behind."""
-_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)
+"""So near to an exchange that was caught, others may be of a clock that was only a little behind (choice)."""
+_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)  # convention: time and offset of a bound that binds nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from companion.core.clock.motion_alignment import MotionAlignment
 from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, ImuBatch, Ints, TimesyncReply
 
-_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
+_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered (choice)
 _NODES = (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)
 
 

@@ -19,27 +19,27 @@ from companion.params.settings import Settings
 from companion.records import Bools, CorrectedRange, Floats, Ints, Reject
 
 KNOCK_RAD = 0.005
-"""How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras."""
-_CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ranges
+"""How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras (choice)."""
+_CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ranges (choice)
 _AGREEING_TO_TRUST = 3  # three in a row: one wrong range never has two accomplices by chance (choice)
 _FORGET_NS = 2_000_000_000  # older ranges say nothing of a surface at flight speed (choice)
-_FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one
+_FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one (choice)
 _APART_TO_DOUBT = 2  # one may be a wrong match, two are not (choice)
 _SURFACE_NS = 5_000_000_000  # a knock seldom stays hidden so long where matches are looked at (choice)
-_OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million
+_OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million (derived)
 _OUTLIERS_TO_REOPEN = 3  # a stamp is wrong for one pair, a camera stays turned (choice)
-_ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
+_ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest (choice)
 # threshold of Page's sums (choice; judged by sitl_tests/faults/camera_faults.py)
 _KNOCKED_SIGMAS = 10.0
-_DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty
+_DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty (choice)
 _TERRAIN_SLACK_MPS = 8.0  # slope of terrain under a downward pair at flight speed (choice)
 _STEEPEST = 1.0  # slope of terrain, trees and houses that a pair is granted whose toe the flow confirms (choice)
-_OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle
-_CLEAR_MATCHES = 3  # far ones that clear a sector (choice)
-_OBSTACLE_SIGMAS = 3.0  # of the difference of two distances
-_OBSTACLE_DEPTH = 0.1  # of one obstacle against its distance (choice)
+_OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle (choice)
+_CLEAR_MATCHES = 3  # chosen: far ones that clear a sector: two wrong matches may agree, three hardly
+_OBSTACLE_SIGMAS = 3.0  # chosen: of the difference of two distances: noise alone rarely parts one obstacle
+_OBSTACLE_DEPTH = 0.1  # chosen: of one obstacle against its distance: a tree's crown is one thing
 _SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases (derived)
-_CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again
+_CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again (choice)
 
 
 class MatchVerdict(enum.Enum):

@@ -37,7 +37,7 @@ from companion.records import (
 from companion.units import Severity
 
 _CONFIRMING_FLOW = 40  # features; fewer tell little of one pair's toe (choice; over fields there are 160)
-_QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
+_QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 _WORN_RATIO = 4.0  # chosen, of variances: of 5,000 good calibrations one looks so worn (chi-square of four terms)

@@ -22,13 +22,13 @@ _LEFT_RIGHT_PX = 1  # OpenCV's usual left-right check
 _UNIQUENESS_PERCENT = 10  # OpenCV's usual value
 _SPECKLE_AREA_PX = 60  # smaller islands of disparity are mismatches (choice)
 # Semi-global matching leans toward whole pixels by a quarter of one; that error is common to a surface, so it does not
-# average out, and metric ranges go through `metric_pairs`.
+# average out, and metric ranges go through `metric_pairs` (choice).
 _SIGMA_PX = 0.35
-# Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match.
+# Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match (choice).
 _LEAST_TEXTURE = 3.0
-_TEXTURE_WINDOW_PX = 11  # about two matching blocks
-_METRIC_SCORE = 0.85  # as the sparse matches need
-_CLOSE_PX = 20.0  # one refinement window: nearer places show the same texture
+_TEXTURE_WINDOW_PX = 11  # about two matching blocks (choice)
+_METRIC_SCORE = 0.85  # convention: the score that sparse matches need (FINE_SCORE in matching.py)
+_CLOSE_PX = 20.0  # one refinement window: nearer places show the same texture (derived)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,10 +36,10 @@ from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
-# degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
+# degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight (choice)
 _STUDENT_DOF = 5.0
-_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
-# share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
+_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information (numerical)
+# share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too (choice)
 _PRIOR_REMAINDER = 1e-3
 _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
 # sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend have: twist,

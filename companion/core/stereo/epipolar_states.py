@@ -20,26 +20,27 @@ from companion.records import Floats
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z = range(5)
 BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
-PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for
+PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for (by definition)
 LENS = slice(BASELINE_Z + 1, PARALLAX_STATES)
 CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
 CONSIDERED_IN_FLOW_STATES = [LENS.start + term for term in CONSIDERED_IN_FLOW]
 BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
-SLOW_STATES = BEND_SCALE + 1  # states of the slow part
+SLOW_STATES = BEND_SCALE + 1  # states of the slow part (by definition)
 FAST = slice(SLOW_STATES, SLOW_STATES + 3)
 # errors of velocity over ground and of rates of turn, by which the flow is predicted
 VELOCITY, TURN_RATE = slice(FAST.stop, FAST.stop + 3), slice(FAST.stop + 3, FAST.stop + 6)
 FLIGHT = slice(VELOCITY.start, TURN_RATE.stop)
 PERSISTENT_STATES = TURN_RATE.stop  # states that stay from pair to pair
-ALL_STATES = PERSISTENT_STATES + 5  # with this pair's error of the baseline's direction, and its innovation
+# with this pair's error of the baseline's direction, and its innovation (by definition)
+ALL_STATES = PERSISTENT_STATES + 5
 SHIFT = slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
 INNOVATION = slice(PERSISTENT_STATES + 2, ALL_STATES)
 
 SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
-"""Pitch, yaw and roll that a rendered pair over ground shows for seconds without having turned, rad (1 sigma)."""
+"""Pitch, yaw and roll that a rendered pair over ground shows without having turned, rad, 1 sigma (measured)."""
 
 DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001, 0.0003, 0.0003)
-"""Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say."""
+"""Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say (derived)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,17 +25,18 @@ from companion.params.airframe import Airframe
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 
 # of a pair whose cameras nothing is stated of: heat that turns each by 0.12 mrad within ten minutes; so a calibration
-# that is wrong beyond its sigma is found again, slowly
+# that is wrong beyond its sigma is found again, slowly (choice)
 _MIN_WALK_RAD_RTS = 1e-5
-_CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known
-_YAW_BIAS_PX = 0.01  # what matching leaves in its place from pair to pair, in the corner of the image
+_CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known (choice)
+_YAW_BIAS_PX = 0.01  # what matching leaves in its place from pair to pair, in the corner of the image (choice)
 # Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: half a
 # milliradian of pitch and roll for seconds. Yaw is granted no more than to a pair that looks down: its innovation in
-# three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas, and a knock in yaw alone shows in nothing else.
+# three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas (measured), and a
+# knock in yaw alone shows in nothing else.
 _SYSTEMATIC_AHEAD_RAD = (5e-4, 3e-4, 5e-4)
 _FAST_TIME_S = 2.0  # bend that lasts longer is slow: trim, load factor; the first modes lie far above (choice)
 _MANOEUVRE_S = 3.0  # a roll or a pull-up and its recovery: correlation time of the error that it brings (choice)
-_RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
+_RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone (choice)
 
 
 class ExtrinsicsDriftFilter:

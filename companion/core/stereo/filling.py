@@ -21,13 +21,13 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import Search
 from companion.records import Bytes, Floats, FramePair, MatchSet
 
-_SMALL_WIDTH_PX = 160  # width of the images that are searched densely: speed
-_STEP_PX = 32  # grid of proposed places in the raw image: speed
+_SMALL_WIDTH_PX = 160  # width of the images that are searched densely: speed (choice)
+_STEP_PX = 32  # grid of proposed places in the raw image: speed (choice)
 _LEAST_FEATURES = 12  # two unknowns, and enough to outvote mismatches (choice)
 _IRLS_STEPS = 8  # reweightings (choice)
-_COARSE_RAD = 0.0003  # parallax of a good match, below which all weigh alike
-_SIGMA_PX = 0.35  # as in dense.py, px of the small images
-_BLOCK_PX = 16  # disparities are searched in blocks of so many
+_COARSE_RAD = 0.0003  # parallax of a good match, below which all weigh alike (choice)
+_SIGMA_PX = 0.35  # as in dense.py, px of the small images (choice)
+_BLOCK_PX = 16  # disparities are searched in blocks of so many (choice)
 
 
 def filled(matches: MatchSet, pair: FramePair, rig: Rig, search: Search) -> MatchSet:

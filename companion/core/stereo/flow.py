@@ -36,7 +36,7 @@ LONGEST_NS = 600_000_000
 """Between two left images: a feature that flies on for longer leaves the picture (choice)."""
 LEAST_FLOW = 12
 """Features, of a rotation, a velocity and the toe (choice)."""
-_STEP = 1e-6  # of the difference quotients
+_STEP = 1e-6  # of the difference quotients (numerical)
 _NONE: Floats = np.zeros(3)
 _STRAIGHT: Floats = np.zeros(2)
 

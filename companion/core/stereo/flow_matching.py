@@ -17,10 +17,10 @@ from companion.core.stereo.matching import BORDER_PX, COARSE_PX, FINE_SCORE, ret
 from companion.core.stereo.refine import refine
 from companion.records import Bools, Bytes, Floats, Flow, FramePair, Ints, MatchSet
 
-_LEVELS = 5  # of the pyramid: 21 px at the coarsest level are a third of a VGA image
-_WINDOW_PX = 21
+_LEVELS = 5  # of the pyramid: 21 px at the coarsest level are a third of a VGA image (choice)
+_WINDOW_PX = 21  # convention: the window that OpenCV's Lucas-Kanade has by default
 _LEAST_FOR_SHAPE = 12  # three unknowns a row, and enough to outvote mismatches (choice)
-_SHAPE_IRLS_STEPS = 5  # reweightings; the shape of a patch is all that comes of it
+_SHAPE_IRLS_STEPS = 5  # reweightings; the shape of a patch is all that comes of it (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

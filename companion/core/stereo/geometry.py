@@ -18,8 +18,9 @@ from companion.params.airframe import Airframe, Camera
 from companion.records import Floats, Side
 
 _AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3
+_DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3 (convention)
 # A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
+# numerical: steps at most, and a residual by which rounding rules
 _UNDISTORT_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-14)
 
 

@@ -12,20 +12,20 @@ from companion.core.stereo.triangulation import Depths
 from companion.records import Bools, Floats, Ints
 from companion.units import MAD_TO_SIGMA
 
-_ABSOLUTE_STEPS = 8  # reweightings to least absolute deviations: the start of the M-estimate
+_ABSOLUTE_STEPS = 8  # reweightings to least absolute deviations: the start of the M-estimate (numerical)
 _BIWEIGHT_STEPS = 6  # reweightings by the biweight (choice)
 _TUKEY = 4.685  # 95 % efficiency on Gaussian errors (Huber and Ronchetti 2009)
 # A surface may lie at 45 degrees to the axis (one sigma): enough for rolls and hillsides, and it keeps a fit to few
-# matches from swinging.
+# matches from swinging (choice).
 _TILT = 1.0
-# Vertical parallax: what matching leaves, and how much it may grow over the image (roll between the cameras).
+# Vertical parallax: what matching leaves, and how much it may grow over the image (roll between the cameras; choice).
 _PARALLAX_RAD = 1e-4
-_PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma
-_CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone
-_CENTRE_FRACTION = 0.2  # of the matches, nearest to the axis (choice)
+_PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma (choice)
+_CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone (choice)
+_CENTRE_FRACTION = 0.2  # chosen: of the matches, nearest to the axis: few enough for one place, enough for a fit
 # a surface that is rough by less than a hundredth of its depth is one surface still (choice)
 _ROUGHNESS = 0.01
-_ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone
+_ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)
 
 
 class RangeProduct(enum.IntEnum):

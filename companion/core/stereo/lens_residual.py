@@ -35,11 +35,11 @@ from companion.records import Floats
 FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_X, PRISM_Y = range(6)
 """Terms of one lens, and of the difference of two, left minus right."""
 LENS_TERMS = 6
-"""Terms of one lens."""
+"""Terms of one lens (by definition)."""
 RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN = range(6, 9)
 """Last terms of a pair: means of both radial terms and of both keystones."""
 PAIR_TERMS = 9
-"""Terms of a pair: the six of the difference, and three means."""
+"""Terms of a pair: the six of the difference, and three means (by definition)."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
 """Terms of a pair that matches never move: what shows of them shows as yaw."""
 CONSIDERED_IN_FLOW = (PRISM_X,)

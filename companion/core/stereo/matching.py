@@ -20,22 +20,22 @@ from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
 _CORNER_QUALITY = 0.01  # OpenCV's usual share of the strongest response
-_CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent
+_CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent (choice)
 BORDER_PX = HALF_WINDOW + 3
-"""Distance from the border at which a patch and its interpolation taps fit in."""
-_COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed
+"""Distance from the border at which a patch and its interpolation taps fit in (derived)."""
+_COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed (choice)
 _COARSE_SCORE = 0.6  # correlation that a right place reaches at the coarse scale (choice)
 FINE_SCORE = 0.85
 """Correlation of a patch that is the same texture (choice)."""
-# Of 1 - correlation: the best must leave this much less unexplained than any other place, and a little in any case.
+# Of 1 - correlation: the best leaves so much less unexplained than any other place, and a little in any case (choice).
 _UNIQUENESS = 0.8
-_UNIQUE_MARGIN = 0.02  # see _UNIQUENESS
-# How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ by this much.
+_UNIQUE_MARGIN = 0.02  # chosen: the little in any case, which noise of perfect matches needs
+# How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ so much (choice).
 _RETURN_PX = 0.1
-_RETURN_SIGMAS = 4.0  # both ways have noise of their own
-_SLOPE_PX = 5.0  # half the step of the difference quotient
+_RETURN_SIGMAS = 4.0  # both ways have noise of their own (choice)
+_SLOPE_PX = 5.0  # half the step of the difference quotient (numerical)
 _LEAST_FOR_ROLL = 12  # three unknowns, and enough to outvote mismatches (choice)
-_ROLL_IRLS_STEPS = 5  # reweightings; roll only shapes the patch
+_ROLL_IRLS_STEPS = 5  # reweightings; roll only shapes the patch (choice)
 COARSE_PX = 0.5
 """Accuracy of the coarse search (choice)."""
 

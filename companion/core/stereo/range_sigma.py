@@ -16,9 +16,9 @@ from companion.core.stereo.vehicle_motion import VehicleMotion
 from companion.params.airframe import Airframe, Camera
 from companion.records import Deflection, Floats, Side
 
-_STEP_RAD = 1e-6  # of the difference quotient
-_STEP_M = 1e-5  # of the difference quotient
-_STEP_RELATIVE = 1e-6  # of the difference quotient
+_STEP_RAD = 1e-6  # of the difference quotient (numerical)
+_STEP_M = 1e-5  # of the difference quotient (numerical)
+_STEP_RELATIVE = 1e-6  # of the difference quotient (numerical)
 # modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
 _ANTISYMMETRIC_FROM_TIPS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
 _TIPS_FROM_ANTISYMMETRIC = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])

@@ -21,14 +21,14 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject, RelativeRotation
 
-# What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation.
+# What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation (choice).
 _COMMON_MATCH_PX = 0.02
 TIMING_SIGMA_S = 1e-4
-"""Of the stamps of an exposure, where nobody says otherwise."""
+"""Of the stamps of an exposure, where nobody says otherwise (choice)."""
 OPTICAL_AXIS: Floats = np.array([0.0, 0.0, 1.0])
 """Direction in camera axes."""
 _AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
-# 1 / (10 km): below this an inverse depth is called infinite.
+# 1 / (10 km): below this an inverse depth is called infinite (choice).
 _INFINITY_PM = 1e-4
 
 

@@ -22,15 +22,15 @@ from companion.records import Bools, Bytes, Floats, Ints
 Patches = npt.NDArray[np.float32]
 
 HALF_WINDOW = 10  # px; 21 x 21 patches: texture enough, surfaces still nearly flat (choice)
-_WINDOW = 2 * HALF_WINDOW + 1
-_TAPS = 6  # per axis, of Keys' fourth-order interpolation
-_BEFORE = 2  # taps before the pixel that the coordinate falls into
-_CONVERGED_PX = 0.02  # a last step beyond it would be seen in the range
-# Interpolation and lens leave about this much that no patch can tell from displacement.
+_WINDOW = 2 * HALF_WINDOW + 1  # derived: pixels of a patch's side
+_TAPS = 6  # per axis, of Keys' fourth-order interpolation (by definition)
+_BEFORE = 2  # taps before the pixel that the coordinate falls into (by definition)
+_CONVERGED_PX = 0.02  # a last step beyond it would be seen in the range (choice)
+# Interpolation and lens leave about this much that no patch can tell from displacement (choice).
 _FLOOR_PX = 0.006
-_FITTED = 4.0  # displacement in two axes, brightness offset and gain
-_GROWTH = 0.02  # usual growth of disparity across a patch, px per px
-_FLAT = 1e-6  # grey^2 / px^2: no texture at all
+_FITTED = 4.0  # displacement in two axes, brightness offset and gain (by definition)
+_GROWTH = 0.02  # usual growth of disparity across a patch, px per px (choice)
+_FLAT = 1e-6  # grey^2 / px^2: no texture at all (numerical)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from companion.params.settings import Settings
 from companion.records import Bools, Bytes, Floats, Ints, Side
 
 HALF_TEMPLATE = 5  # px at the coarse scale: 11 x 11 patches (choice)
-# A second peak nearer than this to the best one is the same peak.
+# A second peak nearer than this to the best one is the same peak (choice).
 _SAME_PEAK_PX = 3
 _BEND_SIGMAS = 3.0  # of gusts and trim bend, added (choice)
 

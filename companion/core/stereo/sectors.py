@@ -16,8 +16,8 @@ from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors
 
 SECTORS = 72  # elements of MAVLink's OBSTACLE_DISTANCE
-_WIDTH_RAD = 2.0 * np.pi / SECTORS
-# What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
+_WIDTH_RAD = 2.0 * np.pi / SECTORS  # by definition: a full turn over the sectors
+# What is seen steeper than this leaves the height band long before the largest range, so it clears nothing (choice).
 _LEVEL = 0.1
 _ABOVE_M = 5.0  # above the body's origin, to which a point is in the way (choice)
 _BELOW_M = 5.0  # below the body's origin, to which a point is in the way (choice)

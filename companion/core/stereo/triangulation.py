@@ -12,7 +12,7 @@ from companion.core.stereo.geometry import MountedCamera, Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.records import Floats, MatchSet
 
-# Points seen at a flatter angle to the product's axis than this say nothing about the range along it.
+# Points seen at a flatter angle to the product's axis than this say nothing about the range along it (choice).
 _FLATTEST = 0.2
 
 

@@ -17,7 +17,7 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.params.airframe import Sensor
 from companion.records import Bools, Floats, Ints, VehicleState
 
-_STATES = 64  # some seconds of attitudes at the usual rates
+_STATES = 64  # some seconds of attitudes at the usual rates (choice)
 _ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
 # the ground's velocity against the air, and climb and sideslip that are not told: along and across the path, and
 # vertical, 1 sigma (choice: a light breeze; a pitch that is wrong by 1.5 degrees at 20 m/s)
@@ -26,7 +26,8 @@ _UNTOLD_MPS = (3.0, 3.0, 0.5)
 # EK3_VELNE_M_NSE: 0.3 for u-blox M8)
 _GROUND_MPS = 0.3
 # the least that is believed of a stated accuracy: EK3 with its defaults adds 0.07 m/s of its own, the steady state of
-# EK3_ACC_P_NSE 0.35 at 100 Hz and EK3_VELNE_M_NSE 0.3 at 5 Hz, and the best receivers have as much (u-blox M9, 0.05)
+# EK3_ACC_P_NSE 0.35 at 100 Hz and EK3_VELNE_M_NSE 0.3 at 5 Hz (derived), and the best receivers have as much
+# (u-blox M9, 0.05)
 _LEAST_GROUND_MPS = 0.1
 # sigmas of a gyro whose airframe file states none, by default 0: of its scale as a ratio, and of its axes (choice: the
 # 1 % of scale that every gyro was believed before files were asked; axes that are aligned by eye)
@@ -34,7 +35,7 @@ _UNSTATED_SCALE, _UNSTATED_AXES_RAD = 0.01, 0.01
 # heading of the autopilot, and pitch and roll of its axes against the cameras' body axes, 1 sigma (choice: a compass
 # that is calibrated, a mounting by hand)
 _HEADING_RAD, _LEVEL_RAD = 0.05, 0.02
-_RATES_S = 4.0  # rates are kept for as long: the smoother's lag, the queue and the time between two pairs
+_RATES_S = 4.0  # rates are kept for as long: the smoother's lag, the queue and the time between two pairs (choice)
 _RATE_GAP_NS = 50_000_000  # rates further apart do not tell the turn between them (choice)
 
 

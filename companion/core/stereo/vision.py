@@ -15,7 +15,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
-_MAX_PLANS = 32  # more than can be open between two frames
+_MAX_PLANS = 32  # more than can be open between two frames (choice)
 
 
 @dataclass(slots=True)

@@ -42,7 +42,7 @@ def van_loan(system: Floats, intensity: Floats, step_s: float) -> tuple[Floats, 
     return np.ascontiguousarray(transition), np.ascontiguousarray(0.5 * (noise + noise.T))
 
 
-_TERMS = 14  # of the series; the last one is below 1e-18 at a norm of a half
+_TERMS = 14  # of the series; the last one is below 1e-18 at a norm of a half (numerical)
 
 
 def _exponential(matrix: Floats) -> Floats:

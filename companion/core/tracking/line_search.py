@@ -39,7 +39,7 @@ _FLOOR_HZ = 25.0  # chosen: blocks that the median is taken over, wide beside a 
 _SHORT_S = 0.25  # chosen: of the envelope's transforms; a mode of 1 Hz width is half resolved
 _MAX_VARIATION = 0.2  # chosen: variance over squared mean of the squared envelope; 1 for noise, 0 for a line
 _MEMORY = 5  # chosen, searches: so long a line is followed that is no longer found
-_SMEARED = 3  # searches whose windows a peak's smear may come from: the window's two seconds
+_SMEARED = 3  # searches whose windows a peak's smear may come from: the window's two seconds (derived)
 MULTIPLES = (3, 4, 6, 8, 9, 16, 18, 20, 24, 30, 36, 48)
 """Other lines that are looked for, in twelfths of the leader's frequency. Chosen."""
 _PAUSE_AFTER = (8, 18, 48)  # multiples, chosen: a stage looks for four, in less than 1 ms
@@ -51,7 +51,7 @@ _TURNED_FLOOR_HZ = 20.0  # chosen: either side of a line, for the median
 _PHASE_S = 0.12  # chosen: of the transforms that give the leader's phase; its rate may change by 8 Hz in them
 _MIN_IN_ROW = 2  # chosen, searches in a row: a narrow band of noise rarely looks like a line twice
 _NO_POWER = 1e-30  # numerical: an axis that is not sent has no lines
-_CHANNELS = (1, 2, 3)  # lateral and vertical force, roll rate: what the tracker reads
+_CHANNELS = (1, 2, 3)  # lateral and vertical force, roll rate: what the tracker reads (convention)
 
 
 class SampleRing:

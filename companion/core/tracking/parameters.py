@@ -14,11 +14,13 @@ from companion.core.tracking.states import ModeFamily
 from companion.params.airframe import Gust, Mode, Uncertain
 from companion.records import Floats, Ints
 
-FIRST_PARAMETERS, FURTHER_PARAMETERS = 5, 4  # of a family's first mode with the gust's corners, and of each further one
+# of a family's first mode with the gust's corners, and of each further one (by definition)
+FIRST_PARAMETERS, FURTHER_PARAMETERS = 5, 4
 FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2 = range(FIRST_PARAMETERS)  # a further mode has the first three as well
-COHERENCE = 3  # of a further mode, behind its load
+COHERENCE = 3  # of a further mode, behind its load (by definition)
+# numerical: least and most of each; no wing or gust comes near, and no fit runs away
 _FIRST_LIMITS = ([0.2, 1e-3, 1e-12, 0.05, 0.05], [200.0, 0.5, 1e6, 2000.0, 2000.0])
-_FURTHER_LIMITS = ([0.5, 2e-3, 1e-14, 0.07], [400.0, 0.12, 1e5, 14.0])
+_FURTHER_LIMITS = ([0.5, 2e-3, 1e-14, 0.07], [400.0, 0.12, 1e5, 14.0])  # numerical: likewise
 
 _CORNER_HZ = (8.0, 60.0)  # chosen: of a gust that the airframe does not describe
 _CORNER_SIGMA = 2.0  # chosen: wide open, a factor of 7

@@ -26,9 +26,9 @@ from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertai
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
-ROWS = 9  # measurements of one epoch, in the order of the next line
+ROWS = 9  # measurements of one epoch, in the order of the next line (by definition)
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
-MODE_STATES = 4  # deflection, rate and two load states
+MODE_STATES = 4  # deflection, rate and two load states (by definition)
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 ROOT_ERRORS = ("bp", "br")  # biases of its rates, which the tips' centripetal force is computed from
 

@@ -25,7 +25,7 @@ from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packe
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
-CHANNELS = 6  # specific force x y z, rate p q r
+CHANNELS = 6  # specific force x y z, rate p q r (by definition)
 _SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
 # chosen, of a second: the clipped are the peaks, and a mean without them shrinks, of a Gaussian by 4 % where 0.5 % are
 # clipped and by 42 % where 12 % are
@@ -37,7 +37,7 @@ _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1
 
 _append = kernel("stream_append", ARRAY, ARRAY, INTEGER, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 _all_valid = kernel("stream_all_valid", ARRAY, ARRAY, REAL, REAL, INTEGER)
-_EVER_NS = -(2**63)  # before every stamp
+_EVER_NS = -(2**63)  # before every stamp (convention)
 
 
 def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Rejected]]:

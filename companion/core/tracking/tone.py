@@ -18,7 +18,7 @@ from companion.core.tracking.streams import SampleBuffer
 from companion.params.airframe import Sensor
 from companion.records import Floats, ImuBatch, Reject, Rejected, Station
 
-_VERTICAL = 2  # channel
+_VERTICAL = 2  # channel (convention)
 _MIN_FILL = 0.9  # chosen: of the window
 _NOISE_BAND_HZ = 1.5  # chosen: on either side of the tone, for the noise density
 _MIN_EXPLAINED = 0.85  # chosen: of the power around the tone; turbulence explains a third

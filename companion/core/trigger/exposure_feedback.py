@@ -18,13 +18,13 @@ from companion.core.trigger.latency import MOST_LATENCY_NS
 from companion.params.airframe import Airframe, Camera
 from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot
 
-WRAP_NS = 2**32 * 1000
+WRAP_NS = 2**32 * 1000  # by definition: 32 bits of microseconds
 _PIN_SIGMA_NS = 50e3
-"""From the shutter to the stamp of the pin's interrupt."""
+"""From the shutter to the stamp of the pin's interrupt (choice)."""
 _NEAR_NS = 20_000_000
-"""A pair that no plan is known for has its feedback within this of its own stamp."""
-_LATE_NS = 1_000_000_000  # an edge that comes so late belongs to an exposure already processed
-_MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate
+"""A pair that no plan is known for has its feedback within this of its own stamp (choice)."""
+_LATE_NS = 1_000_000_000  # an edge that comes so late belongs to an exposure already processed (choice)
+_MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate (choice)
 
 
 class ExposureFeedback:

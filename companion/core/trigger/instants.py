@@ -22,7 +22,7 @@ from companion.records import Floats
 
 _ACTIVITY_SHARE = 0.01  # chosen, of one forecast: 4 s at 25 forecasts a second
 _CLEARLY_FASTER = 1.5  # chosen, of mean squares
-_WORST_SIGMA_NS = 1e9  # as of minima of the blur (native/trigger.c)
+_WORST_SIGMA_NS = 1e9  # as of minima of the blur (native/trigger.c; convention)
 
 
 @dataclass(frozen=True, slots=True)

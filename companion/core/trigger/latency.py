@@ -13,13 +13,13 @@ from companion.records import Reject, Shot, Side, TriggerLatency
 from companion.units import MAD_TO_SIGMA
 
 MOST_LATENCY_NS = 500_000_000
-"""A frame that is further from a shot than this was not caused by it."""
+"""A frame that is further from a shot than this was not caused by it (choice)."""
 _MEMORY = 64  # newest latencies that the median is taken of (choice)
-_MAX_SHOTS = 256  # shots whose exposure may still come
+_MAX_SHOTS = 256  # bound of memory: shots whose exposure may still come
 _OUTLIER_SPREADS = 6.0  # beyond what jitter of a serial link or an operating system makes (choice)
-_LEAST_SPREAD_NS = 50e3  # resolution of stamps
+_LEAST_SPREAD_NS = 50e3  # resolution of stamps (choice)
 _REGIME = 5
-"""So many outliers in a row, agreeing with each other, are a new truth (another exposure, another link)."""
+"""So many outliers in a row, agreeing with each other, are a new truth (another exposure, another link; choice)."""
 _JUDGED = 32  # latencies by which a camera counts as regular (choice)
 _MEDIAN_LOSS = math.pi / 2  # a median's variance over a mean's (Gaussian, derived)
 

@@ -17,20 +17,20 @@ from companion.params.settings import Settings
 from companion.records import Firing, Reject, Shot, TriggerPlan, Validity
 
 HORIZON_NS = 250_000_000
-"""How far ahead a forecast should reach: two intervals of the fastest usual rate, and a half period of a slow wing."""
-STEP_NS = 5_000_000  # a tenth of the period at 20 Hz; minima are refined by a parabola
+"""Reach of a forecast: two intervals of the fastest usual rate, and a half period of a slow wing (choice)."""
+STEP_NS = 5_000_000  # a tenth of the period at 20 Hz; minima are refined by a parabola (choice)
 MARGIN_NS = 3_000_000
-"""A plan needs so long to reach the trigger process; within it of the command, a plan is not changed any more."""
+"""A plan needs so long to reach the trigger process; nearer to its command a plan is not changed (choice)."""
 _SLOW_PIPE_NS = 40_000_000  # chosen: a plan may be so long under way to the trigger process of a busy machine
 EXPIRY_NS = 10_000_000
-"""A command that could not be given within this is not given: the wing would be moving again."""
+"""A command that could not be given within this is not given: the wing would be moving again (choice)."""
 _HARDLY_MORE = 1.03  # chosen: a blur larger by this is not worth a later shot
 _STILL_PX = 0.1  # chosen: nor is one that no match sees
 _EARLY_FRACTION = 0.3
-"""A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
-_ANY_SPACING_NS = 50_000_000  # of peaks, where fewer than two are forecast: 10 Hz
-_NOT_YET = -1  # before the first call
-_MS_NS = 1_000_000  # nanoseconds in a millisecond
+"""A peak may come before its turn by this share of the interval; on average the rate is never exceeded (choice)."""
+_ANY_SPACING_NS = 50_000_000  # of peaks, where fewer than two are forecast: 10 Hz (choice)
+_NOT_YET = -1  # before the first call (convention)
+_MS_NS = 1_000_000  # nanoseconds in a millisecond (by definition)
 
 
 class Policy(enum.IntEnum):

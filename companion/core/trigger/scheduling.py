@@ -13,8 +13,8 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet, OutputRecord, Reject, Shot, Side, Validity
 
-_PLAN_PERIOD_NS = 40_000_000  # the tracker's own period: a plan between has no newer state
-_BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000
+_PLAN_PERIOD_NS = 40_000_000  # the tracker's own period: a plan between has no newer state (derived)
+_BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000  # chosen: neither a few lost images nor one slow pair is a loose line
 
 
 @dataclass(slots=True)

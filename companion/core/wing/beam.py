@@ -19,7 +19,7 @@ import numpy as np
 
 from companion.records import Floats
 
-_QUADRATURE_PER_MODE = 12  # Gauss-Legendre nodes per half wave (choice)
+_QUADRATURE_PER_MODE = 12  # numerical: Gauss-Legendre nodes per half wave, exact to rounding for smooth shapes
 
 
 def characteristic(x: float, mass_ratio: float, inertia_ratio: float = 0.0) -> float:

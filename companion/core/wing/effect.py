@@ -43,7 +43,7 @@ from companion.records import Floats, Side, Station
 
 Complexes = npt.NDArray[np.complex128]
 MOUNT_DAMPING = 0.02
-"""Damping ratio of a camera mount that rings (half its loss factor)."""
+"""Damping ratio of a camera mount that rings (half its loss factor; choice)."""
 
 
 class Group(enum.StrEnum):

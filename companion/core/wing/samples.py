@@ -9,9 +9,9 @@ import numpy as np
 from companion.records import Floats
 
 CERTAIN = 1000.0
-"""Log Bayes factor of a defect that leaves no doubt (a lattice, missing stamps)."""
-_OFF_LATTICE = 0.1  # of a step: a value further from the lattice does not lie on it
-_EVEN, _MOST_OF = 0.25, 0.9  # of a step, of all steps
+"""Log Bayes factor of a defect that leaves no doubt (a lattice, missing stamps; choice)."""
+_OFF_LATTICE = 0.1  # of a step: a value further from the lattice does not lie on it (choice)
+_EVEN, _MOST_OF = 0.25, 0.9  # chosen: how near to whole steps, and how many of them, make a stream an even one
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.records import Floats, Side
 
-_SLOPE_SIGN = (1.0, -1.0)  # up-bend turns the left tip about +x, the right one about -x
+_SLOPE_SIGN = (1.0, -1.0)  # up-bend turns the left tip about +x, the right one about -x (by definition)
 
 
 @dataclass(frozen=True, slots=True)

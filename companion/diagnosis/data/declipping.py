@@ -17,13 +17,13 @@ from companion.records import Floats
 
 _SEED = 20250103  # convention: any fixed number
 _SWEEPS = 160  # of the Gibbs sampler, a bound on its cost
-_RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
-_SETTLED = 60  # sweeps; from then on the spectra are averaged
-_WHITE_RATIO, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
-_BAND = 40  # bins
-_FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike
-_WIDTH = 0.02  # of a frequency, to either side: what is smoothed over
-_FEWEST = 12  # bins to either side
+_RELEARNT, _LEARNT = 4, 0.3  # chosen: every so many sweeps, by that share: spectra follow, and do not swing
+_SETTLED = 60  # sweeps; from then on the spectra are averaged (choice)
+_WHITE_RATIO, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample (choice)
+_BAND = 40  # chosen: bins that share one bound: few matrices, and a bound that is not far off
+_FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike (numerical)
+_WIDTH = 0.02  # of a frequency, to either side: what is smoothed over (choice)
+_FEWEST = 12  # chosen: bins to either side: a spectrum known to a fifth
 
 
 def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floats:

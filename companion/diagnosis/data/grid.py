@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 TAPER = 0.05
-"""Share of a recording over which each end fades in its spectra."""
+"""Share of a recording over which each end fades in its spectra (choice)."""
 _FADES_S = 3.0  # convention: over two periods of the lowest frequency that is judged, 0.15 of some 5 Hz
-_MOST_FADED = 0.15  # of a short recording: its middle must be left
+_MOST_FADED = 0.15  # of a short recording: its middle must be left (choice)
 
 
 def faded_share(duration_s: float) -> float:

@@ -19,11 +19,11 @@ from companion.diagnosis.spectral_matrices import Complexes, apply, cholesky, in
 from companion.records import Bools, Floats
 
 _SEED = 20261123  # convention: any fixed number
-_FAINTEST = 1e-9  # of all power: what a spectrum has at least
+_FAINTEST = 1e-9  # of all power: what a spectrum has at least (numerical)
 _ITERATIONS = 80  # of conjugate gradients, a bound on their cost
-_CLOSE = 1e-3  # of the right-hand side, in the preconditioner's measure
-_FEWEST, _MOST = 3, 10  # times that S is learnt
-_LEFT = 0.01  # of the power missing at first that may be missing at last
+_CLOSE = 1e-3  # of the right-hand side, in the preconditioner's measure (numerical)
+_FEWEST, _MOST = 3, 10  # chosen: times that S is learnt, least and most; the share missing decides between
+_LEFT = 0.01  # of the power missing at first that may be missing at last (choice)
 
 
 def impute_missing(values: Floats, missing: Bools) -> Floats:

@@ -16,8 +16,8 @@ from companion.diagnosis.data.grid import faded_share, fast_length
 from companion.diagnosis.data.recoil import RecoilDelay
 from companion.records import Bools, Floats, Ints, Side
 
-_FEWEST_EXPOSURES = 5  # for a likelihood
-_MARGIN_S = 1.0  # at either end, where the smoothed wing is not known
+_FEWEST_EXPOSURES = 5  # chosen: fewer say nothing that a likelihood should weigh
+_MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 
 
 @dataclass(frozen=True, slots=True)

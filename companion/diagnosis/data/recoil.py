@@ -20,11 +20,12 @@ from companion.core.wing.lowpass import Butterworth2
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side
 
-_BAND = 0.2  # of the first mode's frequency, to either side: most of the mode's power, and little of any other
-_COHERENT = 0.95  # of the root's power there; less, and something else moves either (a mode beside the first one)
-_PASSES = 3  # of the linear fit in the delay
-_WINDOW_SHARE = 1.5  # bins of a Hann window that share information, as a ratio of all to independent ones
-_FEWEST_BINS = 12  # for three real numbers and their error
+_BAND = 0.2  # of the first mode's frequency, to either side: most of the mode's power, and little of any other (choice)
+# of the root's power there; less, and something else moves either (a mode beside the first one; choice)
+_COHERENT = 0.95
+_PASSES = 3  # chosen: of the linear fit in the delay, which is small: it settles at once
+_WINDOW_SHARE = 1.5  # bins of a Hann window that share information, as a ratio of all to independent ones (derived)
+_FEWEST_BINS = 12  # for three real numbers and their error (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,9 +44,9 @@ from companion.records import Bools, Floats, Side
 from companion.units import GRAVITY_MPS2
 
 _FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
-_GAP_MARGIN_S = 1.0  # about a bridged gap, at most: there the smoothed wing is not known
+_GAP_MARGIN_S = 1.0  # about a bridged gap, at most: there the smoothed wing is not known (choice)
 _INPUT = "input_"
-_CROWDED = 0.2  # of the usual step: stamps so close together carry no slope
+_CROWDED = 0.2  # of the usual step: stamps so close together carry no slope (choice)
 
 
 def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observations]:

@@ -15,12 +15,15 @@ from companion.records import Floats, Side
 
 _Channels = Mapping[str, tuple[Floats, Floats]]
 
-_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone
-_LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn
-_BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7  # of the first mode: above, the fuselage recoils from the wing that bends
-_COHERENT, _SLIGHT = 0.5, 0.25  # of power in common, and of the tips' power, where a roll is theirs or does no harm
-_UPPER_END = 0.7  # of a gyro's band, from which it shows its noise
-_WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0  # manoeuvres are slower, and the noise of a gyro's derivative grows with frequency
+_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone (choice)
+_LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn (choice)
+# of the first mode: above, the fuselage recoils from the wing that bends (choice)
+_BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7
+# of power in common, and of the tips' power, where a roll is theirs or does no harm (choice)
+_COHERENT, _SLIGHT = 0.5, 0.25
+_UPPER_END = 0.7  # of a gyro's band, from which it shows its noise (choice)
+# manoeuvres are slower, and the noise of a gyro's derivative grows with frequency (choice)
+_WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0
 
 
 def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:

@@ -10,15 +10,15 @@ import numpy as np
 from companion.records import Floats
 
 SHORTEST_S = 8.0
-"""What all segments together must hold."""
+"""What all segments together must hold (choice)."""
 REQUIREMENT = (
     f"at least {SHORTEST_S:g} s in all, in stretches of 2 s or more (better one), with gaps of at most 1 s inside"
 )
 """What a recording needs, in words."""
-_LENGTHS_S = (8.0, 4.0, 2.0)  # shorter segments are used only where the longer ones do not make up enough
-_LEAST_GAP_S, _LEAST_STEPS = 0.02, 5.0  # a step longer than both is a gap; shorter ones are interpolated
-_LONGEST_FILLED_S = 1.0  # as long as a mode of 5 Hz and 3 % damping remembers
-_LEAST_SHARE = 0.6  # of a segment that was recorded
+_LENGTHS_S = (8.0, 4.0, 2.0)  # shorter segments are used only where the longer ones do not make up enough (choice)
+_LEAST_GAP_S, _LEAST_STEPS = 0.02, 5.0  # a step longer than both is a gap; shorter ones are interpolated (choice)
+_LONGEST_FILLED_S = 1.0  # as long as a mode of 5 Hz and 3 % damping remembers (derived)
+_LEAST_SHARE = 0.6  # chosen: of a segment that was recorded: what is filled in must be the smaller part
 
 Span = tuple[float, float]
 

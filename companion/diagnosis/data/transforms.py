@@ -9,8 +9,8 @@ from companion.diagnosis.data.grid import TAPER, faded_share
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
-_FINER = 4  # zero padding before interpolation
-_CACHED = 4  # sets of instants: of either clock, ahead and behind
+_FINER = 4  # chosen: zero padding that lets a short interpolation follow
+_CACHED = 4  # sets of instants: of either clock, ahead and behind (choice)
 _POINTS = np.arange(-4.0, 5.0)
 
 

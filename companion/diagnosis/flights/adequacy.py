@@ -29,18 +29,18 @@ from companion.records import Floats
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-_SIMULATED = 400  # draws, which tell a statistic's spread to 4 %
-_BLOCKS = 12  # of a recording, for a change of its noise
-_NARROW = 50  # bands of a spectrum
-_FEWEST = 10  # bins of a band
-_MANY = 24  # bins from which a mean is near normal
+_SIMULATED = 400  # draws, which tell a statistic's spread to 4 % (choice)
+_BLOCKS = 12  # of a recording, for a change of its noise (choice)
+_NARROW = 50  # chosen: bands of a spectrum: a missed line stands out of one
+_FEWEST = 10  # chosen: bins of a band, for a mean whose law is known
+_MANY = 24  # bins from which a mean is near normal (choice)
 _FEWEST_EXPOSURES = 20  # for a test of the measured toe
-_AROUND = 1.35  # times the first frequencies, either way
-_SWINGS = 3  # harmonics of the recording's length that a slow change shows in
+_AROUND = 1.35  # chosen: times the first frequencies, either way: the first modes and their sides
+_SWINGS = 3  # harmonics of the recording's length that a slow change shows in (choice)
 LIMIT = 5.0
-"""Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
+"""Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights (choice)."""
 LIMIT_OF_NAMES = 4.2
-"""The same where names were given: something is wrong then, and what remains speaks against the names."""
+"""The same where names were given: something is wrong then, and what remains speaks against the names (choice)."""
 
 
 def check(models: Sequence[FlightModel], fitted: FlightFit, seed: int = 20250101) -> list[Check]:

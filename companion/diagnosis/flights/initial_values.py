@@ -16,13 +16,13 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.records import Floats
 
-_CHUNK = 8  # bins whose mean power is near normal
-_PARTS = 14  # bands of a spectrum
-_STEP = 1e-3  # of a prior sigma, for a difference quotient
-_GAUSS_NEWTON_STEPS = 12  # at most (choice)
-_CLOSE = 1.6  # mean square of residuals in units of what chance makes
-_ENOUGH = 1e-3  # gain in likelihood a point at which the steps end
-_MOST = 2.0  # prior sigmas in one step
+_CHUNK = 8  # bins whose mean power is near normal (choice)
+_PARTS = 14  # chosen: bands of a spectrum: its colour, and not its modes
+_STEP = 1e-3  # of a prior sigma, for a difference quotient (numerical)
+_GAUSS_NEWTON_STEPS = 12  # chosen: at most; the fit goes on from there
+_CLOSE = 1.6  # mean square of residuals in units of what chance makes (choice)
+_ENOUGH = 1e-3  # gain in likelihood a point at which the steps end (choice)
+_MOST = 2.0  # chosen: prior sigmas in one step: no start runs away
 
 
 def initial_values(models: Sequence[FlightModel]) -> list[Floats]:

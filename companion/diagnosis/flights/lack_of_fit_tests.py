@@ -49,11 +49,12 @@ from companion.diagnosis.selection.normal_scores import (
 from companion.diagnosis.selection.score_tests import efficient
 from companion.records import Floats
 
-_BANDS = 14  # of a spectrum
-_INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out
-_ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
-_STRAIGHT = 1e-3  # skewness that is none
-_LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square
+_BANDS = 14  # chosen: of a spectrum: its colour, and not its modes
+_INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out (choice)
+# of a family: what is less than this beside its other members shows their errors, and nothing else (choice)
+_ITS_OWN = 0.03
+_STRAIGHT = 1e-3  # skewness that is none (numerical)
+_LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square (derived)
 
 
 @dataclass(frozen=True, slots=True)

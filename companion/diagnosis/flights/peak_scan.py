@@ -16,8 +16,8 @@ from companion.diagnosis.model.scores import Column, packed
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
-_APART = 1.05  # ratio of neighbouring trial frequencies
-_DAMPING = 0.02  # ratio of the trial resonance
+_APART = 1.05  # chosen: ratio of neighbouring trial frequencies: close beside what a recording resolves broadly
+_DAMPING = 0.02  # chosen: ratio of the trial resonance: an airframe's usual lightly damped part
 
 
 def peaks(

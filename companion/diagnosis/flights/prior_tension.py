@@ -13,7 +13,7 @@ from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.normal_scores import normal_score
 
-_INFORMED = 0.1  # share of the prior's variance that the data must take away
+_INFORMED = 0.1  # share of the prior's variance that the data must take away (choice)
 _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias_mps2", "toe_rad", "focal", "_m")
 
 

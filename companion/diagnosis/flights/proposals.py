@@ -22,14 +22,14 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, expect, log_likelihood
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
-_MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance
-_APART_S = 0.15
-_IMPULSES = 3  # that one proposal holds
-_SLOWEST_CYCLES = 6.0  # in the recording: a slower line is drift
-_BETWEEN = 4  # places a bin: a line half way between two bins shows 0.4 of its power in either
-_FEWEST_BINS = 32  # of a band in which a line is sought
-_NEIGHBOURS = 40  # bins either side that tell a line's background
-_FASTEST = 2.3  # of the first mode, for parametric excitation
+_MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance (choice)
+_APART_S = 0.15  # chosen: two kicks nearer than most of a period at 5 Hz are proposed as one
+_IMPULSES = 3  # convention: kicks of one effect (core/wing/effects/forcing/impulsive_forcing.py)
+_SLOWEST_CYCLES = 6.0  # in the recording: a slower line is drift (choice)
+_BETWEEN = 4  # places a bin: a line half way between two bins shows 0.4 of its power in either (choice)
+_FEWEST_BINS = 32  # of a band in which a line is sought (choice)
+_NEIGHBOURS = 40  # bins either side that tell a line's background (choice)
+_FASTEST = 2.3  # of the first mode, for parametric excitation (choice)
 
 
 @dataclass(frozen=True, slots=True)

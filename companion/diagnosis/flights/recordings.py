@@ -30,15 +30,16 @@ from companion.diagnosis.selection.forward_selection import UNPHYSICAL
 from companion.diagnosis.selection.recordings import Cause, Prediction, Progress, Recordings, SelectionPath
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
-_QUIET_DB = 3.0  # above the noise, below which nothing is told
-_FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
-_STRONG = 2.0  # prior sigmas, of an effect that is begun at every place
-_AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3  # scoring steps: of a refit, of one that goes on, of a fit, of a fold
-_NEAR = 25.0  # nat behind, after one step: it may yet be the higher hill
-_GUARD_S = 0.5  # at either edge of a block: some periods of the first mode
-_BLOCK_S = 6.0  # shortest that holds exposures between its guards
+_QUIET_DB = 3.0  # above the noise, below which nothing is told (choice)
+_FIRST_STEPS = (0.5, 0.05, 0.005)  # chosen: prior sigmas: a strength begins large, then small where large is far off
+_STRONG = 2.0  # prior sigmas, of an effect that is begun at every place (choice)
+# scoring steps: of a refit, of one that goes on, of a fit, of a fold (choice)
+_AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3
+_NEAR = 25.0  # nat behind, after one step: it may yet be the higher hill (choice)
+_GUARD_S = 0.5  # at either edge of a block: some periods of the first mode (choice)
+_BLOCK_S = 6.0  # shortest that holds exposures between its guards (choice)
 _MOST_BLOCKS = 6  # a bound on the cost
-_WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's
+_WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's (choice)
 
 
 def diagnose(

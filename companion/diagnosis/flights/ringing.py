@@ -20,9 +20,9 @@ from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.normal_scores import normal_score
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
-_TOGETHER = 3.5  # sigmas of the correlation of neighbours
-_LAGS = 3  # exposures apart
-_FEWEST = 20  # exposures
+_TOGETHER = 3.5  # chosen: sigmas of the correlation of neighbours: one in 700 of three lags by chance
+_LAGS = 3  # chosen: exposures apart: a ringing that lasts shows in the first ones
+_FEWEST = 20  # chosen: exposures: of fewer a correlation has no known law
 
 
 def with_best_trials(

@@ -30,11 +30,11 @@ from companion.diagnosis.selection.score_tests import Candidate
 
 BETTER = 2.0
 """Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
-with Phi(-d/2 - 2/d), 2 % at most."""
+with Phi(-d/2 - 2/d), 2 % at most (choice)."""
 _REFITTED, _TWINS = 3, 1  # candidates, and such whose score is a name's, a bound on the cost
-_OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep
-_RANKING_STEPS = 8  # scoring steps of a fit that ranks (choice)
-_FIRST_STEP = 0.5  # prior sigmas
+_OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep (choice)
+_RANKING_STEPS = 8  # chosen: scoring steps of a fit that ranks: enough to order, cheap enough for many
+_FIRST_STEP = 0.5  # chosen: prior sigmas: far enough from none for a gradient
 
 
 @dataclass(frozen=True, slots=True)

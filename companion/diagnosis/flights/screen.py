@@ -15,8 +15,8 @@ from companion.diagnosis.model.scores import Column
 from companion.diagnosis.selection.score_tests import Candidate, Screening, Tested, efficient, ranked
 from companion.records import Floats
 
-_UNIT = 1e-3  # prior sigmas
-_SLIGHT = 0.01  # prior sigmas: a strength at which an instant or a frequency means something
+_UNIT = 1e-3  # prior sigmas (numerical)
+_SLIGHT = 0.01  # prior sigmas: a strength at which an instant or a frequency means something (choice)
 
 
 def screen(

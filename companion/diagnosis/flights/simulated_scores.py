@@ -20,7 +20,7 @@ from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 DRAWS = 40
-"""Recordings that tell a scatter, to 11 %."""
+"""Recordings that tell a scatter, to 11 % (choice)."""
 _SEED = 20250102  # convention: any fixed number
 
 

@@ -18,14 +18,14 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
-_LAGS_S = 1.0
-_CELLS = 13  # of a map, odd so that one stands at zero
-_REACH = 2.2  # rms
+_LAGS_S = 1.0  # chosen: five periods at 5 Hz, within which a forgotten mode shows
+_CELLS = 13  # of a map, odd so that one stands at zero (choice)
+_REACH = 2.2  # chosen: rms: of a normal motion 97 % lies within
 _AMPLITUDE_BINS = 8  # points of a backbone, of equally many samples (choice)
-_FEWEST = 12  # samples of a cell that is drawn
+_FEWEST = 12  # chosen: samples of a cell that is drawn: a mean known to a third of its scatter
 _DRAWS = 40  # a bound on the cost of a view
 _SEED = 20250103  # convention: any fixed number
-_PARTS = 12  # of a recording, for the scatter of a coherence
+_PARTS = 12  # of a recording, for the scatter of a coherence (choice)
 AUTOCORRELATION = "autocorrelation of the innovations"
 BACKBONE = "frequency by amplitude"
 WORK = "damping by amplitude"

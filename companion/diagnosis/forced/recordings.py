@@ -32,12 +32,12 @@ from companion.errors import RecordingError
 from companion.records import Floats
 
 FORCE = "force"
-_SEGMENTS = 10  # of all recordings together, held out one by one
-_LEAST_BINS = 8  # of the band in a segment
-_EDGE = 0.02  # of a recording, at either end
-_FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument
-_PASSES = 4  # of the weight: it is made of the linear part, which it moves a little
-_WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column
+_SEGMENTS = 10  # of all recordings together, held out one by one (choice)
+_LEAST_BINS = 8  # chosen: of the band in a segment: more than the parameters of a mode
+_EDGE = 0.02  # of a recording, at either end (choice)
+_FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
+_PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)
+_WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
     QuadraticStiffness.name: ("per squared deflection", lambda q, _v: q**2),

@@ -15,11 +15,11 @@ from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter
 from companion.diagnosis.selection.check import Check
 from companion.records import Floats
 
-LIMIT = 5.5  # sigmas: one in 10^7, for the many checks of a page
-LAGS = 20  # samples, a few cycles at the rate of a free decay
-_DRAWS = 300  # of white noise, which tell a statistic's spread to 4 %
-_BLOCKS = 12  # of a recording, for a change of its noise
-_QUIET = 4.0  # times the variance that the quietest tenth of the samples is expected to have
+LIMIT = 5.5  # sigmas: one in 10^7, for the many checks of a page (choice)
+LAGS = 20  # samples, a few cycles at the rate of a free decay (choice)
+_DRAWS = 300  # of white noise, which tell a statistic's spread to 4 % (choice)
+_BLOCKS = 12  # of a recording, for a change of its noise (choice)
+_QUIET = 4.0  # times the variance that the quietest tenth of the samples is expected to have (choice)
 _NAMES = ("innovations' size", "innovations' neighbours", "outliers", "unsteadiness")
 
 

@@ -24,7 +24,7 @@ from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.score_tests import Candidate
 
-_CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
+_CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close (choice)
 _ADVICE = {
     CovariateFrequency.name: "vary the channel independently of time and of the other channels",
     FrequencyDrift.name: "a drift in time has a cause that can be measured: record temperature and settings",

@@ -17,7 +17,7 @@ import numpy as np
 from companion.native.library import ARRAY, REAL, RECORD, kernel, packed
 from companion.records import Floats
 
-_AT_REST = 1e-3  # initial variance over the noise variance: the wing rests before the first impulse
+_AT_REST = 1e-3  # initial variance over the noise variance: the wing rests before the first impulse (numerical)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
 from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
-_MINUTE_S = 60.0
+_MINUTE_S = 60.0  # by definition
 
 
 class Follows(enum.StrEnum):

@@ -16,7 +16,7 @@ from companion.records import Floats
 
 Mask = npt.NDArray[np.bool_]
 FreeDecayFit = Fit[Extension, FreeDecayModel]
-_STEP = 1e-4  # of a parameter's prior sigma, for differences
+_STEP = 1e-4  # of a parameter's prior sigma, for differences (numerical)
 
 
 class FreeDecayLikelihood:

@@ -14,9 +14,9 @@ from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_NUISANCES = 3  # nuisances of each recording: impulse to load, noise, impulse to noise
+_NUISANCES = 3  # nuisances of each recording: impulse to load, noise, impulse to noise (by definition)
 _SLOWEST = 0.2  # of the believed frequency, a bound for the fit
-_ZETA = (1e-5, 0.5)
+_ZETA = (1e-5, 0.5)  # numerical: keeps a filter stable and a mode oscillating, far outside any wing's damping
 
 
 class FreeDecayModel:

@@ -17,13 +17,13 @@ from scipy.signal import hilbert
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
-_ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not
-_LEAST_S = 2.0
-_GAP_RATIO = 2.5
-_ROOM = 1.3  # times the band's upper edge, kept by the anti-alias filter
-_VIBRATES = 0.3  # of the power above the band's lower edge
-_ECHO = 20  # samples
-_QUIET = 0.02  # of the mean square above the band
+_ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not (choice)
+_LEAST_S = 2.0  # chosen: ten periods at 5 Hz, fewer tell no damping
+_GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
+_ROOM = 1.3  # times the band's upper edge, kept by the anti-alias filter (choice)
+_VIBRATES = 0.3  # of the power above the band's lower edge (choice)
+_ECHO = 20  # chosen: samples that the edge of the band rings on either side
+_QUIET = 0.02  # chosen: of the mean square above the band: no impulse
 
 
 @dataclass(frozen=True, slots=True)

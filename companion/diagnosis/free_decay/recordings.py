@@ -33,13 +33,13 @@ from companion.diagnosis.selection.score_tests import Candidate, Screening
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way
-_DEEP = 40  # steps of a fit that decides
-_QUICK = 10  # steps of a fit that ranks
-_FOLD = 4  # steps from the fit on all blocks, which is near
-_RINGS = 0.15  # a damping ratio above that is no mode
-_BLOCK_S = 1.0
-_GUARD_S = 0.1
+_FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way (choice)
+_DEEP = 40  # chosen: steps of a fit that decides: it ends earlier once settled
+_QUICK = 10  # chosen: steps of a fit that ranks: enough to order, cheap enough for many
+_FOLD = 4  # steps from the fit on all blocks, which is near (choice)
+_RINGS = 0.15  # a damping ratio above that is no mode (choice)
+_BLOCK_S = 1.0  # chosen: long beside a period, short beside a recording: many blocks to fold
+_GUARD_S = 0.1  # chosen: a tenth of a block on either side, so that neighbours share no error
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ import numpy as np
 from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.records import Floats
 
-_FEWEST = 5  # windows for a curve of three coefficients
-_CUBIC, _QUINTIC = 0.75, 0.625  # first harmonics of cos^3 and cos^5
-_POINTS = 41  # of a drawn curve
+_FEWEST = 5  # chosen: windows for a curve of three coefficients, and two to judge it
+_CUBIC, _QUINTIC = 0.75, 0.625  # first harmonics of cos^3 and cos^5 (derived)
+_POINTS = 41  # chosen: of a drawn curve: it looks smooth
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
 
-_FAR = 4.5  # sigmas of a window that is told by itself
+_FAR = 4.5  # sigmas of a window that is told by itself (choice)
 _IN_WORDS = {
     LIMIT_CYCLE: "frequency and damping follow the airspeed: so does the amplitude at which the damping is 0",
     AirspeedDependence.name: "follows the airspeed at equal amplitude",

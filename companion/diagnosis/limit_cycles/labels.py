@@ -15,18 +15,18 @@ from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
-_FEWEST = 5  # limit cycles that can judge one of them
-_FAR = 6.0  # times the scatter of the others
-_LEAST = 0.06  # of the airspeed: less is drift of the rig between days
-_DEGREE = 2  # of the airspeed over the logarithm of the amplitude
-_REWEIGHTED = 30  # steps to the least absolute deviation
+_FEWEST = 5  # limit cycles that can judge one of them (choice)
+_FAR = 6.0  # chosen: times the scatter of the others: no chance among hundreds
+_LEAST = 0.06  # of the airspeed: less is drift of the rig between days (choice)
+_DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
+_REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
 SMALL = 0.35
-"""Amplitude as a ratio of the largest below which a vibration is on its way."""
+"""Amplitude as a ratio of the largest below which a vibration is on its way (choice)."""
 NOISY = (0.02, 0.3)
-"""Ratios of the largest amplitude between which a window's error grows with the inverse; beyond, with its change."""
-_FEWEST_WINDOWS = 3  # of a recording that is judged by its growth
-_FEWEST_GROWING = 3  # recordings, which can judge a fourth
-_RELATED = 2.0  # gusts of the tunnel outlast a window: so much less do windows tell than if each stood alone
+"""Ratios of the largest amplitude: between them a window's error grows with the inverse, else its change (choice)."""
+_FEWEST_WINDOWS = 3  # of a recording that is judged by its growth (choice)
+_FEWEST_GROWING = 3  # recordings, which can judge a fourth (choice)
+_RELATED = 2.0  # gusts of the tunnel outlast a window: so much less do windows tell than if each stood alone (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,11 +37,11 @@ LIMIT_CYCLE = "limit-cycle"
 """Name of an amplitude that the wing itself settles on; no effect of the catalogue, which has stable wings only."""
 FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
 CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
-_FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed
-_FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping
-_SLOWEST_MPS = 0.1  # below, the air does nothing
+_FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed (choice)
+_FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping (choice)
+_SLOWEST_MPS = 0.1  # below, the air does nothing (choice)
 _PER = " per rms of the airspeed"
-_TWO_PI = 2.0 * np.pi
+_TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,15 +15,15 @@ from scipy.signal import medfilt
 from companion.errors import RecordingError
 from companion.records import Floats
 
-_WINDOW = 2  # periods: as long as the averaging, short against a growth
-_SPIKE = 5  # samples of the median that a single wild sample does not pass
-_SPIKY = 12.0  # times the median step: a spike, no vibration
-_UNEVEN = 0.15  # rms of ln amplitude about its line in a window: a blow came, or another mode beats
-_STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle
-_LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more
-_LEAST_PASSED = 0.3  # of the amplitude by the average over two periods, far from its centre
-_FINER = 8  # zero padding of a spectrum whose peak is interpolated
-_NOISE_FLOOR = 6.0  # times the rms beside the mode: below, the envelope is noise
+_WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
+_SPIKE = 5  # samples of the median that a single wild sample does not pass (choice)
+_SPIKY = 12.0  # times the median step: a spike, no vibration (choice)
+_UNEVEN = 0.15  # rms of ln amplitude about its line in a window: a blow came, or another mode beats (choice)
+_STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle (choice)
+_LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
+_LEAST_PASSED = 0.3  # of the amplitude by the average over two periods, far from its centre (choice)
+_FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
+_NOISE_FLOOR = 6.0  # times the rms beside the mode: below, the envelope is noise (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,12 +19,12 @@ from companion.diagnosis.modal_tests.vibration import ModeOverRuns
 from companion.records import Floats
 
 CHANGED_Z = 5.0
-"""Standard deviations of one run's frequency from which a change is no chance."""
+"""Standard deviations of one run's frequency from which a change is no chance (choice)."""
 NOTABLE_CHANGE = 0.002
 """Relative change (convention) below which a mode is shown, but no cause is asked."""
 ORDER = "run_order"
-_SAME = 0.02  # of a channel's range: values that count as equal
-_LOG_SMALLEST = -600.0  # exponents below underflow
+_SAME = 0.02  # of a channel's range: values that count as equal (choice)
+_LOG_SMALLEST = -600.0  # exponents below underflow (numerical)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
 
-_LONGEST_UNIT = 5  # characters of a column's unit suffix
+_LONGEST_UNIT = 5  # characters of a column's unit suffix (choice)
 
 
 def as_json(diagnosis: ModalTestDiagnosis, recordings: Sequence[str], airframe: str | None) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from companion.diagnosis.selection.regression import (
 )
 from companion.errors import RecordingError
 
-_WIDE = 0.1  # prior sigma of a frequency, and of its change, relative: what a wing may do at most
+_WIDE = 0.1  # prior sigma of a frequency, and of its change, relative: what a wing may do at most (choice)
 _NOISE_KNOWN = 1e-9  # prior sigma of the logarithm of a noise that the modal fits have measured
 
 

@@ -20,10 +20,12 @@ from scipy.signal import find_peaks
 from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
+# chosen: of the peak's frequency, some widths of a lightly damped mode; the least keeps bins enough
 _WIDTH, _LEAST_WIDTH_HZ = 0.03, 0.3
-_REACH = 0.035  # how far a mode may wander from run to run
-_SMOOTHED = 7  # bins of the moving average in which peaks are sought
-_PROMINENCE = 0.7  # of the logarithm
+_REACH = 0.035  # how far a mode may wander from run to run (choice)
+_SMOOTHED = 7  # bins of the moving average in which peaks are sought (choice)
+_PROMINENCE = 0.7  # chosen: of the logarithm: a factor of two above what lies beside
+# chosen: starts of the fit, from a metal frame's to a wing's in air; the best one counts
 _DAMPINGS = (0.003, 0.01, 0.03)
 
 

@@ -21,11 +21,11 @@ from companion.params.airframe import FAMILIES, Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Side
 
 _INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
-_UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
-_UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted
-_CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error
-_COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1
-_MATCH_SIGMA_PX = 0.3
+_UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells (choice)
+_UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted (choice)
+_CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error (choice)
+_COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1 (choice)
+_MATCH_SIGMA_PX = 0.3  # chosen: noise of one match in hard texture; a pair's median knows it better
 _RECORDING_MARK = "#"
 _GAIN = "gain:"
 _CHANGING = (".level", ".noise", ".bias_mps2", "match")

@@ -29,9 +29,9 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inv
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
-_LOW = 0.15  # of the first symmetric frequency: lower edge of the band
-_UNIT = 1e-3  # prior sigmas, for a difference quotient
-_NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off
+_LOW = 0.15  # of the first symmetric frequency: lower edge of the band (choice)
+_UNIT = 1e-3  # prior sigmas, for a difference quotient (numerical)
+_NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off (choice)
 
 
 class FlightModel:

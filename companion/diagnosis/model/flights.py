@@ -22,7 +22,7 @@ from companion.diagnosis.selection.fisher_scoring import Parameter, Scores
 from companion.diagnosis.selection.fit import Fit, climb
 from companion.records import Floats
 
-_STEP = 1e-4  # of a parameter's prior sigma, for differences
+_STEP = 1e-4  # of a parameter's prior sigma, for differences (numerical)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ TIMES: dict[str, _Sway] = {
 
 _INSTANTS = {"1/6": -2.0 / 3.0, "1/3": -1.0 / 3.0, "1/2": 0.0, "2/3": 1.0 / 3.0, "5/6": 2.0 / 3.0}
 """Instants of a recording, and where they lie from -1 to 1 across it."""
-_SETTINGS = 23  # instants at which a clock that competes with names may have been set: 2.5 s apart in a minute
+_SETTINGS = 23  # instants at which a clock that competes with names may have been set: 2.5 s apart in a minute (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from companion.records import Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""
-_CACHED = 4  # receptances: of a model, of its two passes over forces, of a neighbour by one difference step
-_TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit
+_CACHED = 4  # receptances: of a model, of its two passes over forces, of a neighbour by one difference step (choice)
+_TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit (numerical)
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
 

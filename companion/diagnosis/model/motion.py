@@ -18,8 +18,8 @@ from companion.diagnosis.model.nonlinear_correction import SensorLineariser, Sta
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, full, inverse, product
 from companion.records import Floats
 
-_PASSES = 2  # of smoothing and nonlinear correction in turn
-_FADED = 0.3  # of the motion: what has faded further is not made whole again, with its errors
+_PASSES = 2  # chosen: of smoothing and nonlinear correction in turn: a third moves little
+_FADED = 0.3  # of the motion: what has faded further is not made whole again, with its errors (choice)
 
 
 @dataclass(frozen=True, slots=True)

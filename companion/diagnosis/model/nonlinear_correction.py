@@ -24,17 +24,17 @@ from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
-_USUAL_HZ = 5.0  # of a first mode, where nothing has a memory
-_BUMP = 1e-3  # of the standard deviation, for a difference quotient
-_BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
+_USUAL_HZ = 5.0  # of a first mode, where nothing has a memory (choice)
+_BUMP = 1e-3  # of the standard deviation, for a difference quotient (numerical)
+_BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings (choice)
 _NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
-"""Gauss and Hermite's rule of four places for the mean over a standard normal (Abramowitz and Stegun, table 25.10)."""
-_FINER = 8  # points a sample at which a short load is evaluated before it is cut to the band
-_SHARP = 0.03  # of the deflection's rms: what is left untold below this blurs nothing
-_INVERSIONS = 6  # Newton steps
-_FLATTEST = 0.3  # slope of a sensor's law that can be inverted
-_INVERTED = 1e-9  # residual at which Newton's method ends
-_CACHE_SIZE = 4  # most parameters that a fit moves bend nothing
+"""Gauss and Hermite's rule of four places, over a standard normal (by definition: Abramowitz and Stegun 25.10)."""
+_FINER = 8  # points a sample at which a short load is evaluated before it is cut to the band (choice)
+_SHARP = 0.03  # of the deflection's rms: what is left untold below this blurs nothing (choice)
+_INVERSIONS = 6  # Newton steps (numerical)
+_FLATTEST = 0.3  # slope of a sensor's law that can be inverted (choice)
+_INVERTED = 1e-9  # residual at which Newton's method ends (numerical)
+_CACHE_SIZE = 4  # most parameters that a fit moves bend nothing (choice)
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 

@@ -18,8 +18,8 @@ from companion.diagnosis.model.toe_regressors import of_unit_rms, taken_up, toe_
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
 from companion.records import Floats, Side
 
-_FINER = 8  # grid points a sample of the correlation function
-_FOLLOWED = 3  # modes
+_FINER = 8  # grid points a sample of the correlation function (choice)
+_FOLLOWED = 3  # chosen: modes: higher ones hardly turn a camera
 
 
 class ToeModel:

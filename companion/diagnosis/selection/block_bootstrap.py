@@ -6,9 +6,9 @@ import numpy as np
 
 from companion.records import Floats
 
-_DRAWS = 1000  # which tell a sigma to 2 %
+_DRAWS = 1000  # which tell a sigma to 2 % (choice)
 _SEED = 7  # convention: any fixed number
-_WITHIN = (2.5, 97.5)  # per cent
+_WITHIN = (2.5, 97.5)  # convention: per cent: the middle 95
 Interval = tuple[float, float, float]
 """Estimate, and the ends of its 95 % interval."""
 

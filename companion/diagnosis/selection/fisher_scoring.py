@@ -15,16 +15,18 @@ import numpy as np
 
 from companion.records import Floats
 
-_ENOUGH = 0.02  # nats gained by a step, below which it is the last
-_NEGLIGIBLE = 0.1 * _ENOUGH  # predicted by a step, below which it is not made: 0.06 sigma at most
+_ENOUGH = 0.02  # nats gained by a step, below which it is the last (choice)
+_NEGLIGIBLE = 0.1 * _ENOUGH  # predicted by a step, below which it is not made: 0.06 sigma at most (derived)
 _AS_PREDICTED, _SLIGHT = 0.3, 2.0
-"""Derivatives change little where a step gains what they predict, to this share, or where they predict so few nats."""
-_NEARLY = 0.5  # nats predicted by a step that none follows, below which the top is reached
-_TRIES = 9  # of one step, each more damped than the last
-_DAMPED_TRIES = 2  # then the step is shortened as well
-_LEAST_LONGER, _LONGEST = 1.2, 3.0  # times a step
+"""Derivatives change little where a step gains this share of what they predict, or where that is few nats (choice)."""
+_NEARLY = 0.5  # nats predicted by a step that none follows, below which the top is reached (choice)
+_TRIES = 9  # of one step, each more damped than the last (choice)
+_DAMPED_TRIES = 2  # then the step is shortened as well (choice)
+# chosen: times a step: a shorter stretch gains nothing, a longer one trusts too much
+_LEAST_LONGER, _LONGEST = 1.2, 3.0
+# numerical: of Levenberg: first damping, factors of it, and where none is left
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
-_FARTHEST = 3.0  # prior sigmas in one step
+_FARTHEST = 3.0  # chosen: prior sigmas in one step: no step leaves what is believed possible
 State = TypeVar("State")
 
 

@@ -16,23 +16,23 @@ from companion.diagnosis.selection.recordings import Cause, Progress, Recordings
 from companion.diagnosis.selection.score_tests import Candidate, Screening, TermT
 
 ENOUGH = 6.0
-"""Log Bayes factor above which the first term may be accepted."""
+"""Log Bayes factor above which the first term may be accepted (choice)."""
 ENOUGH_MORE = 12.0
-"""And a further one: two things wrong at once are rarer than one that is not in the catalogue."""
+"""And a further one: two things wrong at once are rarer than one that is not in the catalogue (choice)."""
 CERTAIN_Z = 4.4
-"""Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings."""
+"""Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings (choice)."""
 SAME = 0.95
-"""Correlation of efficient scores from which two terms are one group."""
-_BEAM = 2  # models that go on side by side
-_WITHIN = 25.0  # nats behind the best path: a further term will not make up for more
+"""Correlation of efficient scores from which two terms are one group (choice)."""
+_BEAM = 2  # chosen: models that go on side by side, a bound on the cost: the best two are often near
+_WITHIN = 25.0  # nats behind the best path: a further term will not make up for more (choice)
 _REFITTED = 5  # candidates a round, a bound on its cost
-_WORTH_A_REFIT_Z = 3.5  # sigmas of the score; below, no refit is tried
-_TOO_CLOSE = 2.0  # nat: odds of 7 to 1
-_CONCEIVABLE = 6.0  # nat: odds of 400 to 1
+_WORTH_A_REFIT_Z = 3.5  # sigmas of the score; below, no refit is tried (choice)
+_TOO_CLOSE = 2.0  # nat: odds of 7 to 1 (choice)
+_CONCEIVABLE = 6.0  # nat: odds of 400 to 1 (choice)
 UNPREJUDICED = 5.0
 """How much wider the priors of terms are where values are measured, and names not ranked."""
-_MORE_THAN_PROMISED = 2.0  # times the log odds of a score, a refit's at most: where a frequency moves far
-_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
+_MORE_THAN_PROMISED = 2.0  # times the log odds of a score, a refit's at most: where a frequency moves far (choice)
+_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that (choice)
 UNPHYSICAL = (ValueError, FloatingPointError, np.linalg.LinAlgError)
 """Errors of a model at values beyond what is physical."""
 

@@ -9,9 +9,9 @@ from scipy.stats import chi2, gamma, norm, t
 
 from companion.records import Floats
 
-_SMALLEST = -500_000.0  # exponent at which a normal quantile can still be computed
-_STRAIGHT = 1e-3  # skewness that is none
-_SMALL = 0.5  # sigmas below which a tail is the normal one
+_SMALLEST = -500_000.0  # exponent at which a normal quantile can still be computed (numerical)
+_STRAIGHT = 1e-3  # skewness that is none (numerical)
+_SMALL = 0.5  # sigmas below which a tail is the normal one (choice)
 
 
 def normal_score(log_tail: float) -> float:

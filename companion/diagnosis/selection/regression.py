@@ -26,12 +26,12 @@ from companion.records import Bools, Floats
 
 Indices = npt.NDArray[np.int64]
 LIMIT = 5.0
-"""Standard deviations beyond which a test is not chance."""
-_SCORING_STEPS = 60  # at most: noises begin far from their values
-_NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way
-_DRAWS = 400  # which tell a statistic's spread to 4 %
+"""Standard deviations beyond which a test is not chance (choice)."""
+_SCORING_STEPS = 60  # at most: noises begin far from their values (choice)
+_NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way (choice)
+_DRAWS = 400  # which tell a statistic's spread to 4 % (choice)
 _SEED = 20250104  # convention: any fixed number
-_FEWEST = 8  # rows of a response that can be tested
+_FEWEST = 8  # rows of a response that can be tested (choice)
 
 
 @dataclass(frozen=True, slots=True)

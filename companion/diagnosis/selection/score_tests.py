@@ -21,7 +21,7 @@ from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.normal_scores import normal_score
 from companion.records import Floats
 
-_BARELY = 1e-9  # of the largest eigenvalue: rounding
+_BARELY = 1e-9  # of the largest eigenvalue: rounding (numerical)
 
 
 class Term(Protocol):

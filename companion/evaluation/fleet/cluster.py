@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from companion.errors import LinkError, import_extra
 from companion.evaluation.fleet.runner import Row, Task, attempt, failure, stored, write_part
 
-_CONNECT_S = 10.0  # a scheduler on the same network answers within a second
+_CONNECT_S = 10.0  # a scheduler on the same network answers within a second (choice)
 
 T = TypeVar("T", bound=Task)
 

@@ -14,12 +14,12 @@ from companion.reporting import page, plotting
 from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed
 
-_FEWEST = 3  # points that make a picture
+_FEWEST = 3  # points that make a picture (choice)
 _COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
-_MOST_COLUMNS = 8  # that a page is wide enough for
-_MOST_RECURRING = 12  # most frequent first
-_MOST_NAMES = 16  # beneath a picture of 10 inches
-_MOST_LETTERS = 18  # of a file's name there: the end of it, which tells flights apart
+_MOST_COLUMNS = 8  # chosen: that a page is wide enough for
+_MOST_RECURRING = 12  # chosen: most frequent first: a list that is read
+_MOST_NAMES = 16  # beneath a picture of 10 inches (choice)
+_MOST_LETTERS = 18  # of a file's name there: the end of it, which tells flights apart (choice)
 _WITHHELD = "withheld: "
 _NOW_AND_THEN = "that a range is withheld now and then is normal: see the report of each flight"
 _COUNTED = (_WITHHELD, "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them

@@ -15,8 +15,8 @@ from companion.evaluation.pages.flight_report import verdict
 from companion.params.airframe import FAMILIES
 from companion.records import Station
 
-_DEEPEST = 3  # levels of a nested result that become columns
-_MOST_TEXT = 160  # characters of a cell
+_DEEPEST = 3  # levels of a nested result that become columns (choice)
+_MOST_TEXT = 160  # chosen: characters of a cell: a sentence, not a page
 
 
 def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from companion.errors import SpanwiseError
 
-_TRIES = 2  # of a task whose worker died
+_TRIES = 2  # chosen: of a task whose worker died: once may be memory, twice is the task
 Row = dict[str, Any]
 
 

@@ -18,14 +18,14 @@ import numpy as np
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
-_SIGMAS = 3.0  # by which a change or a flight is no chance
-_MOST = 20  # sentences that are read; the table has the rest
-_FEWEST = 3  # flights of an aircraft that have a median worth the name
-_THIRDS_FEWEST = 9  # flights that have thirds with medians
-_MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2))
-_DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode
-_SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples
-_NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn
+_SIGMAS = 3.0  # by which a change or a flight is no chance (choice)
+_MOST = 20  # sentences that are read; the table has the rest (choice)
+_FEWEST = 3  # flights of an aircraft that have a median worth the name (choice)
+_THIRDS_FEWEST = 9  # flights that have thirds with medians (choice)
+_MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2); derived)
+_DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode (choice)
+_SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples (choice)
+_NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn (choice)
 _EFFECT = "effect: "  # begins the column of an effect that a diagnosis named
 _STATIONS = ("root", "left", "right")
 

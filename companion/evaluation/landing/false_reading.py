@@ -10,7 +10,7 @@ LONG_M, SHORT_M = (80.0, 190.0), (5.0, 10.0)
 """Of what a false reading is drawn, m: beyond every height of the approach, and about that of a flare (choice)."""
 
 _HEIGHT_M = (25.0, 45.0)  # at which it comes: ranges are in use, and the flare is still far (choice)
-_LASTS_NS = 100_000_000  # two messages of a 20 Hz sensor
+_LASTS_NS = 100_000_000  # two messages of a 20 Hz sensor (choice)
 
 
 class OneFalseReading(TrueRange):

@@ -19,9 +19,9 @@ from companion.sim.landing.landing_vehicle import flight_of
 from companion.sim.vision.cameras import Shutters
 from companion.sim.vision.posed_pair import PosedPair
 
-_READY_NS = 100_000_000  # from the line to the matches: exposure, readout and matching of a small computer
+_READY_NS = 100_000_000  # from the line to the matches: exposure, readout and matching of a small computer (choice)
 _STALE_NS = 500_000_000  # ArduPilot's rangefinder timeout
-_COLUMNS, _ROWS = 16, 12  # of the grid of points
+_COLUMNS, _ROWS = 16, 12  # chosen: of the grid of points: as many as a pair usually matches
 
 
 class RigidStereo:

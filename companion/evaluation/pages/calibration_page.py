@@ -18,12 +18,12 @@ from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_f
 Pairs = list[tuple[str, Bytes, Bytes]]
 _NAMES = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")
 _LEFT_TO_RIGHT = ("x", "y", "z")
-_WIDTH_IN = 12.0  # of the picture
-_SHOWN = 12  # images a page shows before it grows long
-_FAR_M = 60.0
-_MATCHING_PX = 0.2  # of one feature
-_MATCHING_SHARE = 0.4  # adds 8 % to what matching leaves
-_ARROW = 100.0  # residuals are drawn so many times their length
+_WIDTH_IN = 12.0  # chosen: of the picture: the page's width
+_SHOWN = 12  # images a page shows before it grows long (choice)
+_FAR_M = 60.0  # convention: the paper's far target
+_MATCHING_PX = 0.2  # chosen: of one feature in good texture
+_MATCHING_SHARE = 0.4  # adds 8 % to what matching leaves (choice)
+_ARROW = 100.0  # residuals are drawn so many times their length (choice)
 
 
 def rows(fit: RigFit) -> list[tuple[str, str, str, str]]:

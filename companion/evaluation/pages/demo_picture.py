@@ -14,7 +14,7 @@ from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, do
 
 _COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
 _FAR = "60"
-_OTHER_SURFACE = 0.5  # of the range, from one shot to the next: nothing approaches that fast
+_OTHER_SURFACE = 0.5  # of the range, from one shot to the next: nothing approaches that fast (choice)
 _BESIDE_TITLE = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "ncols": 2, "fontsize": 8, "frameon": False}
 _LABELS = {
     "rigid": "rigid (ground calibration)",

@@ -14,10 +14,10 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.records import Floats
 from companion.reporting.plotting import AFTER, BEFORE, DATA, INK, VERMILLION, dots, headline, new_figure
 
-_NEEDED_Z = 4.4  # one in 10^5, the level that the screen asks for
-_SHOWN = 16  # candidates that are legible side by side
-_SPECTRUM_BINS = 160  # points of a legible line
-_LOAD_VARIES = 0.02  # rms g: below, the flight was level
+_NEEDED_Z = 4.4  # one in 10^5, the level that the screen asks for (convention)
+_SHOWN = 16  # candidates that are legible side by side (choice)
+_SPECTRUM_BINS = 160  # points of a legible line (choice)
+_LOAD_VARIES = 0.02  # rms g: below, the flight was level (choice)
 _WIDTHS = {BEFORE: 3.0, AFTER: 1.2}  # one lies on the other where they agree, and both are seen
 Fits = Sequence[tuple[Expectation, str, str]]
 

@@ -14,7 +14,7 @@ from companion.reporting.blocks import Advice, Answers, Block, Details, Heading,
 from companion.reporting.embedding import embed
 from companion.reporting.page import render
 
-_CHECKS = 12  # rows of a legible table
+_CHECKS = 12  # rows of a legible table (choice)
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 

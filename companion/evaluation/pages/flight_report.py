@@ -20,10 +20,10 @@ from companion.reporting import page
 from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
 
-_USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
+_USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published (choice)
 _MODE_SIGMAS = 2.0  # so near the belief, a line may be a higher mode's (choice)
-_LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it
-_LONG_WARM_UP_S = 30.0  # the service itself complains of a tracker that takes longer
+_LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it (choice)
+_LONG_WARM_UP_S = 30.0  # the service itself complains of a tracker that takes longer (choice)
 _GRADES = {"usable": "good", "late": "fair", "with long silences": "poor", "often withheld": "poor"}
 _VIBRATION = (
     "Vibration is the tip's swing at the mode's own frequency. The slow bend by gusts, load and trim is not in it; the "

@@ -17,8 +17,8 @@ _LEGEND = (
     "lines: paths flown; dots: the range finder's readings; o the flare begins, x wheels touch, ^ goes around; "
     "the flare begins where the corrected height is two seconds of the sink rate"
 )
-_HIGHEST_M = 70.0
-_SHOWN_M = (-640.0, 110.0)  # along the runway, from the landing point
+_HIGHEST_M = 70.0  # chosen: the level leg before the slope, and room above it
+_SHOWN_M = (-640.0, 110.0)  # chosen: along the runway, from the landing point: the approach and the roll-out
 
 
 def draw_landings(rows: Sequence[Row], path: Path) -> None:

@@ -19,7 +19,7 @@ from companion.reporting.embedding import embed
 from companion.reporting.page import render
 from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
 
-_TWO_PI = 2.0 * np.pi
+_TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
 
 def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:

@@ -19,7 +19,7 @@ from companion.units import GRAVITY_MPS2
 _STEP = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
 _LIFT_OFF_S = 3.0  # after the wheels leave the ground, until turbulence has its full size (choice)
 _TOUCH_S = 0.3  # in which the gear takes the weight, or gives it up (choice)
-_BUMPS = 7  # sines of uneven ground
+_BUMPS = 7  # chosen: sines of uneven ground: irregular enough, cheap to differentiate
 _TABLE = (_STEP.integ(), _STEP, _STEP.deriv(), _STEP.deriv(2), _STEP.deriv(3))
 
 

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 from companion.records import Floats
 
-FOOT_M = 0.3048
+FOOT_M = 0.3048  # by definition
 
 
 class GustKind(enum.StrEnum):

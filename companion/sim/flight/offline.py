@@ -13,10 +13,10 @@ from companion.sim.flight.aircraft import airspeed
 from companion.sim.flight.flight import LOOP_HZ, Flight
 from companion.sim.flight.sensors import SensorStream
 
-HOST_EPOCH_NS = 5_000_000_000_000
-_READ_NS = 5_000_000
-_TIMESYNC_NS = 100_000_000
-_VEHICLE_NS = 100_000_000
+HOST_EPOCH_NS = 5_000_000_000_000  # convention: any time that no boot clock shows, so that mixed clocks are found out
+_READ_NS = 5_000_000  # chosen: the service reads its link at least so often
+_TIMESYNC_NS = 100_000_000  # convention: the adapter's ten exchanges a second
+_VEHICLE_NS = 100_000_000  # chosen: ten states a second, the rate of an autopilot's own attitude stream
 Arriving = AutopilotParameter | ImuBatch | TimesyncReply | VehicleState
 _LETTERS = (("x", Axis.X), ("y", Axis.Y), ("z", Axis.Z), ("p", Axis.P), ("q", Axis.Q), ("r", Axis.R))
 

@@ -15,10 +15,10 @@ from companion.records import ClockName, Floats, Station
 
 # positive by nature: the prior is log-normal (companion.params.airframe)
 _LOG_NORMAL = ("frequency_hz", "damping", "deflection_rms_m")
-_CORNER_SPREAD = 0.3  # log-normal sigma of a gust's corner frequency
-_NODE_SKEW_PPM = 30.0
-_SHORTEST_LATENCY_S = 0.001
-_ANTISYMMETRIC_RATIO = 0.6
+_CORNER_SPREAD = 0.3  # chosen: log-normal sigma of a gust's corner frequency: a third of it
+_NODE_SKEW_PPM = 30.0  # chosen: a cheap crystal is tens of ppm off
+_SHORTEST_LATENCY_S = 0.001  # chosen: no camera starts sooner; a draw below it is cut off
+_ANTISYMMETRIC_RATIO = 0.6  # chosen: gusts bend both halves alike more than against each other
 
 
 @dataclass(frozen=True, slots=True)

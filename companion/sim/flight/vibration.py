@@ -15,8 +15,8 @@ import numpy as np
 from companion.params.airframe import Sensor
 from companion.records import Floats
 
-_INSTANTS = 8  # inside a window: a line at the sampling rate is averaged to 3 % of the true mean of its sine
-_RATE_STEP_S = 0.01  # of the table of the shaft's turns
+_INSTANTS = 8  # inside a window: a line at the sampling rate is averaged to 3 % of the true mean of its sine (choice)
+_RATE_STEP_S = 0.01  # chosen: of the table of the shaft's turns: throttle moves slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)

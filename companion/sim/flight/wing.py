@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from companion.core.wing.model import Memories, WingModel
 from companion.records import Floats
 
-SUBSTEP_S = 0.0005
+SUBSTEP_S = 0.0005  # chosen: half a knot, for the middle of a Hermite step; loads are held over it
 
 
 def adds_forces(model: WingModel) -> bool:

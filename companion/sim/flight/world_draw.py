@@ -22,11 +22,12 @@ from companion.sim.flight.worlds import Conditions, Harmonic, LensResiduals, Pro
 from companion.units import GRAVITY_MPS2
 
 CRUISE_THROTTLE = 0.6
-"""Share of full throttle in level flight, as the simulated autopilot has always reported it."""
+"""Share of full throttle in level flight, as the simulated autopilot has always reported it (choice)."""
 
-_CLIMB_PER_MPS = 0.06  # throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost
+# throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost (derived)
+_CLIMB_PER_MPS = 0.06
 _NAVIGATION_S = 10.0  # correlation time of a navigation filter's velocity error (choice: some updates of its GPS)
-_LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles
+_LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles (choice)
 
 
 def log_uniform(span: Span, rng: np.random.Generator) -> float:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from companion.sim.landing.airplane import AIR_DENSITY_KGPM3, Airplane
 
-_LEAST_SPEED_MPS = 1.0  # below it the angles of the flow mean nothing: the aeroplane stands
+_LEAST_SPEED_MPS = 1.0  # below it the angles of the flow mean nothing: the aeroplane stands (choice)
 
 
 class Controls(NamedTuple):

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 from companion.params.airframe import Airframe
 
-AIR_DENSITY_KGPM3 = 1.225  # ICAO standard atmosphere at sea level
-_SPAN_M = 2.0  # of the aeroplane that the numbers below describe
+AIR_DENSITY_KGPM3 = 1.225  # ICAO standard atmosphere at sea level (convention)
+_SPAN_M = 2.0  # of the aeroplane that the numbers below describe (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,10 +21,10 @@ from companion.sim.landing.glide_slope import GlideSlope
 from companion.sim.landing.height_correction import HeightCorrection
 from companion.sim.landing.trim import trimmed
 
-_GO_AROUND_CLIMB_MPS = 3.0
+_GO_AROUND_CLIMB_MPS = 3.0  # chosen: a gentle climb, at which the energy loops keep the airspeed
 _FLARE_RATE_GAIN, _FLARE_INTEGRAL = 0.06, 0.10  # rad of pitch per m/s of sink error, and per m (tuned)
-_FLARE_BLEND_S = 1.5  # from the slope's sink to the touch-down's
-_LEAST_FLARE_PITCH_RAD = 0.0  # LAND_PITCH_DEG: the nose wheel must not touch first
+_FLARE_BLEND_S = 1.5  # chosen: from the slope's sink to the touch-down's: no jump of pitch
+_LEAST_FLARE_PITCH_RAD = 0.0  # LAND_PITCH_DEG: the nose wheel must not touch first (convention)
 
 
 class LandingStage(enum.StrEnum):

@@ -13,6 +13,7 @@ BAROMETER_SIGMA_M = 2.5
 """Error of a flight's barometer against the ground it lands on: drift with weather and warmth (choice)."""
 
 _POSITION_SIGMA_M = 1.0  # GPS over the minute of an approach (choice)
+# chosen: what an estimator leaves of barometer and pitot noise
 _HEIGHT_NOISE_M, _CLIMB_NOISE_MPS, _SPEED_NOISE_MPS = 0.1, 0.05, 0.2
 _AIRSPEED_SCALE_SIGMA = 0.02  # a calibrated pitot tube (choice)
 _ATTITUDE_SIGMA_RAD = 0.009  # half a degree of an estimator's level (ArduPilot's accelerometer calibration)

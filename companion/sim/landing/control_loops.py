@@ -15,15 +15,16 @@ from companion.sim.landing.trim import Trim
 from companion.units import GRAVITY_MPS2
 
 PERIOD_S = 0.02  # ArduPlane's main loop at its default 50 Hz (SCHED_LOOP_RATE)
-_SURFACE_LIMIT_RAD = 0.40
+_SURFACE_LIMIT_RAD = 0.40  # chosen: 23 degrees, before a surface stalls
 _BANK_LIMIT_RAD = 0.5  # choice
-_PITCH_LIMITS_RAD = (-0.30, 0.35)
+_PITCH_LIMITS_RAD = (-0.30, 0.35)  # chosen: -17 and 20 degrees, near ArduPlane's defaults of -25 and 20
+# chosen: a little quicker than ArduPlane's default of 0.5 s (RLL2SRV_TCONST)
 _ROLL_TIME_S, _PITCH_TIME_S = 0.35, 0.4
 _ROLL_GAIN, _ROLL_INTEGRAL = 0.12, 0.05  # aileron per rad/s of rate error, and per rad (tuned)
 _PITCH_GAIN, _PITCH_INTEGRAL = 0.18, 0.25  # elevator, likewise (tuned)
 _YAW_GAIN, _SLIP_GAIN = 0.15, 0.02  # rudder per rad/s of yaw beyond the turn, and per m/s^2 of side force (tuned)
-_COURSE_GAIN_RADPS, _TRACK_GAIN_PER_S = 0.8, 0.25
-_CROSS_LIMIT_RAD = 0.4
+_COURSE_GAIN_RADPS, _TRACK_GAIN_PER_S = 0.8, 0.25  # chosen: the track swings in without overshoot at approach speed
+_CROSS_LIMIT_RAD = 0.4  # chosen: 23 degrees: the runway's line is met within the leg, and no turn is hard
 
 
 class NavigationState(NamedTuple):

@@ -23,11 +23,11 @@ from companion.sim.landing.turbulence import STILL_AIR, AirMotion
 from companion.units import GRAVITY_MPS2
 
 STEP_NS = 2_000_000
-"""Length of a step: 500 Hz, eighteen steps in a period of a 27 Hz mode."""
+"""Length of a step: 500 Hz, eighteen steps in a period of a 27 Hz mode (choice)."""
 
-_HALF_WING_ARM = 0.42  # of the semispan: where half an elliptic lift acts (4 / 3 pi)
-_PARTICIPATION = 1.566  # of a uniform cantilever's first bending mode in a shaken root
-_RIGID = 12  # position, velocity, Euler angles, rates
+_HALF_WING_ARM = 0.42  # of the semispan: where half an elliptic lift acts (4 / 3 pi; derived)
+_PARTICIPATION = 1.566  # of a uniform cantilever's first bending mode in a shaken root (derived)
+_RIGID = 12  # position, velocity, Euler angles, rates (by definition)
 _CONTROLS = slice(12, 16)
 
 

@@ -11,7 +11,7 @@ from companion.units import GRAVITY_MPS2
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
-_SLIP_MPS = 0.3  # speed at which friction reaches its full size: keeps the force smooth through zero
+_SLIP_MPS = 0.3  # speed at which friction reaches its full size: keeps the force smooth through zero (choice)
 
 
 class GearLoads(NamedTuple):

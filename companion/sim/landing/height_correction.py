@@ -14,8 +14,8 @@ _READINGS = 10  # in a row that count before the range is used (ArduPlane)
 _CHANGED = 0.05  # of the largest range, from the first reading (ArduPlane)
 _JUMP = 0.2  # of the largest range: counting begins anew (ArduPlane)
 _NEW_SHARE = 0.2  # of the newest correction in the smoothed one, a pass (ArduPlane, at 50 Hz)
-_WANDER_M = 30.0
-_HOLD_S = 5.0
+_WANDER_M = 30.0  # convention: ArduPlane drops a correction that wanders by so much from the first
+_HOLD_S = 5.0  # convention: ArduPlane holds the last correction for so long
 
 
 @dataclass(slots=True)

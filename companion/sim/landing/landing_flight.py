@@ -28,14 +28,14 @@ from companion.sim.landing.growing_truth import GrowingTruth
 from companion.sim.landing.trim import trimmed
 from companion.sim.landing.turbulence import AirMotion, Turbulence
 
-PERIOD_NS = round(PERIOD_S * 1e9)
+PERIOD_NS = round(PERIOD_S * 1e9)  # derived: the control loops' period
 GUST_WIND_MPS = 6.0
-"""Wind at 20 ft whose turbulence is flown: 0.6 m/s rms of vertical gust."""
+"""Wind at 20 ft whose turbulence is flown: 0.6 m/s rms of vertical gust (choice)."""
 
 _STEPS = PERIOD_NS // STEP_NS
-_GUST_HEIGHT_M = 30.0  # for which the Dryden scales are taken
-_AFTER_TOUCH_S, _AFTER_GO_AROUND_S = 1.0, 3.0
-_SPARE_S = 1.0  # of room behind the longest flight
+_GUST_HEIGHT_M = 30.0  # chosen: a height of the approach, for which the Dryden scales are taken
+_AFTER_TOUCH_S, _AFTER_GO_AROUND_S = 1.0, 3.0  # chosen: enough of the roll-out, or of the climb, to be seen
+_SPARE_S = 1.0  # chosen: of room behind the longest flight, for exposures and averages
 
 
 class RangeSource(Protocol):

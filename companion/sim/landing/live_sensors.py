@@ -22,8 +22,8 @@ from companion.sim.flight.sensors import SensorStream, drifting, limited, on_wir
 from companion.sim.landing.growing_truth import GrowingTruth
 from companion.sim.landing.landing_flight import LandingFlight
 
-_MARGIN_NS = 3_000_000  # behind the truth's end: half a window, and offsets of the stamps
-_DELAY_NS, _WIRE_NS = 150_000, 50_000.0  # of a node's work and wire, as in companion.sim.flight.sensors
+_MARGIN_NS = 3_000_000  # behind the truth's end: half a window, and offsets of the stamps (choice)
+_DELAY_NS, _WIRE_NS = 150_000, 50_000.0  # of a node's work and wire, as in companion.sim.flight.sensors (convention)
 
 
 @dataclass(slots=True)

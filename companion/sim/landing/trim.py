@@ -13,9 +13,9 @@ from companion.sim.landing.aerodynamics import AirLoadModel, Controls
 from companion.sim.landing.airplane import Airplane
 from companion.units import GRAVITY_MPS2
 
-_ITERATIONS = 30  # Newton's; five are enough
-_TOLERANCE = 1e-10  # of force over weight and moment over weight times chord
-_NUDGE = 1e-6  # of each unknown, for the Jacobian
+_ITERATIONS = 30  # Newton's; five are enough (numerical)
+_TOLERANCE = 1e-10  # of force over weight and moment over weight times chord (numerical)
+_NUDGE = 1e-6  # of each unknown, for the Jacobian (numerical)
 
 
 class Trim(NamedTuple):

@@ -20,13 +20,13 @@ from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.sensors import BACKEND_HZ
 from companion.units import GRAVITY_MPS2
 
-_TILT_RAD = math.radians(25.0)
-_RISE_S, _HOLD_S = 2.0, 5.0  # of a tilt by hand
-_TAP_MPS2 = 8.0
-_CROSSING = 0.15  # part of a tap that the wing passes on
-_FADE_S = 0.12  # of a tap's ringing
-_PLUCK_MPS2 = 4.0
-_NOISE = np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002])  # m/s^2 and rad/s, a node's
+_TILT_RAD = math.radians(25.0)  # chosen: the guide asks for some 25 degrees
+_RISE_S, _HOLD_S = 2.0, 5.0  # chosen: of a tilt by hand, and how long it is held
+_TAP_MPS2 = 8.0  # chosen: a fingernail's tap, well above what the guide asks for
+_CROSSING = 0.15  # part of a tap that the wing passes on (choice)
+_FADE_S = 0.12  # chosen: of a tap's ringing: gone before the guide has listened
+_PLUCK_MPS2 = 4.0  # chosen: a hand's pluck, far above a node's noise
+_NOISE = np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002])  # chosen: m/s^2 and rad/s, a node's
 
 
 class Gesture(enum.Enum):

@@ -27,8 +27,8 @@ from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
 from companion.sim.vehicle.wire import AUTOPILOT_ID, FrameSender, inertial_format, payloads, stamped
 
-_NS = 1_000_000_000
-_TIMESYNC_NS = 10 * _NS
+_NS = 1_000_000_000  # by definition: nanoseconds of a second
+_TIMESYNC_NS = 10 * _NS  # convention: ArduPilot asks every ten seconds
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
 _DEFAULT_MS = {"ATTITUDE": 100, "VFR_HUD": 250, "GLOBAL_POSITION_INT": 250, "RAW_IMU": 250, "GPS_RAW_INT": 1000}
 _ECHO_MS = {"RANGEFINDER": 250, "DISTANCE_SENSOR": 250}  # while the rangefinder has data

@@ -17,12 +17,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.sim.vehicle.wire import FrameSender
 
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_RATE_NS = 100_000_000
-_BEAT_NS = 1_000_000_000
-_ALIVE, _UNTRUSTED = 90, 1
-_BASELINE_M = 1.98  # airframe nadir-2m
-_LIMITS_M = (4.0, 200.0)  # defaults of RNG_MIN and RNG_MAX
-_SIGMA_PER_M = 0.45 / 60.0**2  # over the range squared: 0.45 m at 60 m
+_RATE_NS = 100_000_000  # chosen: the default of OUT_RATE
+_BEAT_NS = 1_000_000_000  # convention: heartbeats come once a second (MAVLink)
+_ALIVE, _UNTRUSTED = 90, 1  # convention: 1 of signal_quality is "invalid", 100 perfect (MAVLink common.xml)
+_BASELINE_M = 1.98  # airframe nadir-2m (convention)
+_LIMITS_M = (4.0, 200.0)  # defaults of RNG_MIN and RNG_MAX (convention)
+_SIGMA_PER_M = 0.45 / 60.0**2  # over the range squared: 0.45 m at 60 m (choice)
 
 
 @dataclass(slots=True)

@@ -13,10 +13,10 @@ from collections import deque
 from companion.sim.vehicle.world import World
 
 EPOCH_NS = 5_000_000_000_000
-"""Host time at which the vehicle's boot time is 0."""
+"""Host time at which the vehicle's boot time is 0 (convention)."""
 
-_TURN_NS = 1_000_000
-_LOOK_NS = 20_000  # stands for what the loop computes between two looks; a turn looks some ten times
+_TURN_NS = 1_000_000  # chosen: finer than the autopilot's loop, coarse enough to be fast
+_LOOK_NS = 20_000  # stands for what the loop computes between two looks; a turn looks some ten times (choice)
 
 
 class LockStepClock:

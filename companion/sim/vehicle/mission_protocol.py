@@ -9,10 +9,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, Item, Order, ScriptedPilot
 
-HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG = 47.0, 8.0
-DEGREE_M = math.pi * 6378137.0 / 180.0  # of a sphere with WGS 84's equatorial radius
-_ASK_AGAIN_NS = 1_000_000_000
-_GIVE_UP_NS = 8_000_000_000
+HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG = 47.0, 8.0  # chosen: a place where a degree of longitude is not one of latitude
+DEGREE_M = math.pi * 6378137.0 / 180.0  # of a sphere with WGS 84's equatorial radius (derived)
+_ASK_AGAIN_NS = 1_000_000_000  # chosen: a lost item is asked for again before a ground station gives up
+_GIVE_UP_NS = 8_000_000_000  # convention: ArduPilot's AP_Mission ends an upload that stalls for so long
 _SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 
 

@@ -16,7 +16,7 @@ from companion.sim.flight.sensors import SensorStream
 from companion.sim.vehicle.faults import Faults, boot_origin_ns
 from companion.sim.vehicle.wire import SYSTEM_ID, FrameSender, inertial_format, payloads, stamped
 
-_HEARTBEAT_NS = 1_000_000_000
+_HEARTBEAT_NS = 1_000_000_000  # convention: heartbeats come once a second (MAVLink)
 _NAN_Z = struct.pack("<f", math.nan)
 
 

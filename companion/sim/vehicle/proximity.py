@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 _TIMEOUT_NS = 500_000_000  # ArduPilot's PROXIMITY_MAV_TIMEOUT_MS
-_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
+_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known (by definition)
 _BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 
 

@@ -24,11 +24,11 @@ from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters
 from companion.sim.vehicle.wire import inertial_format, payloads, stamped
 
-_TICK_NS = 1_000_000
-_TIMESYNC_MS = 100
-_ONBOARD_MS = 20
-_FARTHEST_M = 655.34
-_TRIGGER_POLL_NS = 50_000_000
+_TICK_NS = 1_000_000  # chosen: fine enough for every integration interval of PX4
+_TIMESYNC_MS = 100  # convention: PX4 asks ten times a second
+_ONBOARD_MS = 20  # convention: PX4's onboard stream sends HIGHRES_IMU at 50 Hz
+_FARTHEST_M = 655.34  # convention: largest current_distance that is a distance, uint16 in cm (MAVLink common.xml)
+_TRIGGER_POLL_NS = 50_000_000  # convention: PX4's camera_trigger looks twenty times a second
 _INTEGERS = ("IMU_INTEG_RATE", "MAV_SYS_ID", "EKF2_RNG_CTRL")
 _UNSUPPORTED = (mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_CMD_DO_REPEAT_RELAY, mavlink.MAV_CMD_DO_REPEAT_SERVO)
 

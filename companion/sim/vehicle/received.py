@@ -11,11 +11,11 @@ from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.wire import AUTOPILOT_ID, SYSTEM_ID
 
 _TIMEOUT_NS = 500_000_000  # ArduPilot's AP_RANGEFINDER_MAVLINK_TIMEOUT_MS
-_CENTIMETRE_M = 0.01
-_SECTORS = 72  # OBSTACLE_DISTANCE.distances
-_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
+_CENTIMETRE_M = 0.01  # by definition
+_SECTORS = 72  # OBSTACLE_DISTANCE.distances (by definition)
+_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known (by definition)
 _BODY_FRD = 12  # MAV_FRAME_BODY_FRD
-_MOST_PROBLEMS = 50  # that are kept for the report
+_MOST_PROBLEMS = 50  # bound of memory: problems that are kept for the report
 
 
 @dataclass(frozen=True, slots=True)

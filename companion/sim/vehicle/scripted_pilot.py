@@ -16,19 +16,20 @@ from dataclasses import dataclass
 from companion.units import GRAVITY_MPS2
 
 HOME_AMSL_M = 440.0
-"""Differs from zero so that a script that mixes up heights above sea and above home is found out."""
+"""Differs from zero so that a script that mixes up heights above sea and above home is found out (choice)."""
 
 _RTL_HEIGHT_M = 100.0  # ArduPlane's default height of a return (RTL_ALTITUDE)
 _ORBIT_M = 60.0  # ArduPlane's default radius (WP_LOITER_RAD)
-_ACCEPT_M = 20.0
-_CLIMB_MPS, _SINK_MPS = 5.0, 4.0
+_ACCEPT_M = 20.0  # chosen: a third of the orbit's radius
+_CLIMB_MPS, _SINK_MPS = 5.0, 4.0  # chosen: near ArduPlane's defaults (TECS_CLMB_MAX 5, TECS_SINK_MAX 5)
+# chosen: 43 degrees at 69 degrees a second, near ArduPlane's default bank of 45
 _MOST_BANK_RAD, _ROLL_RATE_RADPS = 0.75, 1.2
-_TRIM_PITCH_RAD = 0.05
-_PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5
-_FORCED_FOR_S = 3.0
-_FREE = (0.0, -math.inf)
+_TRIM_PITCH_RAD = 0.05  # chosen: a wing flies with its nose 3 degrees up
+_PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5  # chosen: pitch follows at once, speed with the aeroplane's inertia
+_FORCED_FOR_S = 3.0  # chosen: a script that stops asking loses its attitude after three seconds
+_FREE = (0.0, -math.inf)  # convention: no angle, held until before all time
 _LANDED_M = 0.3  # wheels touch below it (choice)
-_LINED_UP_RAD = 0.3
+_LINED_UP_RAD = 0.3  # chosen: 17 degrees off, within which an approach goes on
 
 
 class FlightMode(enum.IntEnum):

@@ -15,10 +15,10 @@ from companion.params.airframe import Source
 from companion.records import Floats
 from companion.sim.flight.sensors import MILLI_G_MPS2, MILLI_RADPS
 
-SYSTEM_ID = 1
-AUTOPILOT_ID = 1
+SYSTEM_ID = 1  # convention: ArduPilot's default
+AUTOPILOT_ID = 1  # convention: MAV_COMP_ID_AUTOPILOT1 (MAVLink common.xml)
 _HEADER = struct.Struct("<BBBBBBBHB")
-_ALL_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometers and gyros
+_ALL_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometers and gyros (derived)
 _AXES = "xyz"
 
 

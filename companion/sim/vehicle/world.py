@@ -27,8 +27,8 @@ from companion.sim.vehicle.px4 import SimPx4
 from companion.sim.vehicle.routing import Port
 from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
 
-_DATAGRAM = 1400  # bytes that fit Ethernet's 1500 beside the headers
-_WAKE_NS = 1_000_000
+_DATAGRAM = 1400  # bytes that fit Ethernet's 1500 beside the headers (derived)
+_WAKE_NS = 1_000_000  # chosen: finer than the autopilot's 400 Hz loop
 
 
 class Control(Protocol):

@@ -17,7 +17,7 @@ from companion.sim.vision.texture import Image32
 KOSCHMIEDER = 3.912
 """Extinction times visibility: contrast falls to 2 % there (Koschmieder 1924)."""
 
-_HAZE_GRID = (20, 15)  # places across and down at which distance is looked up: haze is smooth
+_HAZE_GRID = (20, 15)  # places across and down at which distance is looked up: haze is smooth (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,12 +25,12 @@ from companion.sim.vehicle.starting import opened
 from companion.sim.vision.boards import BoardRenderer, ShownBoard, board_poses
 from companion.sim.vision.cameras import HEADER, MAGIC
 
-_PERIOD_NS = 200_000_000
-_EXPOSURE_NS = 2_000_000
-_START_S = 120.0  # a busy machine imports slowly
-# what a pair of cameras is like before anybody has calibrated it
+_PERIOD_NS = 200_000_000  # chosen: five pairs a second, which the finder of corners keeps up with
+_EXPOSURE_NS = 2_000_000  # chosen: indoors, short enough for a board held still
+_START_S = 120.0  # a busy machine imports slowly (choice)
+# what a pair of cameras is like before anybody has calibrated it (choice)
 _FOCAL, _MIDDLE_PX, _TURN_RAD, _SHIFT_M = 0.01, 4.0, 0.01, 0.003
-_BENT = (-0.12, 0.05, 0.0004, -0.0003, 0.0)
+_BENT = (-0.12, 0.05, 0.0004, -0.0003, 0.0)  # chosen: a small wide-angle lens: k1, k2, p1, p2, k3
 
 
 @dataclass(frozen=True, slots=True)

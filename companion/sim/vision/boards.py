@@ -17,14 +17,14 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.records import Bytes, Floats, Side
 from companion.sim.vision.texture import Image32
 
-_TEXELS = 48  # per square: eight for each bit of a marker
-_SOFT_TEXELS = 1.2  # print and paper soften an edge by about a texel
-_PAPER, _WALL = 235.0, 120.0
-_INK = 15.0  # grey level of printed black in daylight
-_NOISE = 1.5  # grey levels rms, an 8-bit machine-vision sensor
-_TILT_RAD, _ROLL_RAD = 0.5, 0.2
-_REACH = 1.6  # farthest over nearest distance
-_STILL_FRAMES = 3  # that a person holds the board still
+_TEXELS = 48  # per square: eight for each bit of a marker (choice)
+_SOFT_TEXELS = 1.2  # print and paper soften an edge by about a texel (choice)
+_PAPER, _WALL = 235.0, 120.0  # chosen: grey levels of white paper in daylight, and of a wall behind it
+_INK = 15.0  # grey level of printed black in daylight (choice)
+_NOISE = 1.5  # grey levels rms, an 8-bit machine-vision sensor (choice)
+_TILT_RAD, _ROLL_RAD = 0.5, 0.2  # chosen: as people tilt a board, 29 degrees, and turn it, 11 degrees
+_REACH = 1.6  # chosen: farthest over nearest distance: more than the guide asks for
+_STILL_FRAMES = 3  # chosen: that a person holds the board still: enough for the guide to take it
 _INSIDE = {"chessboard": 1.05, "charuco": 0.8}  # how much of the board has to be in both images
 
 

@@ -32,10 +32,10 @@ from companion.sim.vision.cameras import HEADER, MAGIC, PULSE, Shutters
 from companion.sim.vision.renderer import PERFECT, ExposureInterval, Renderer
 from companion.sim.vision.scene import Scene
 
-QUEUE_SHOTS = 4  # at 5 a second the last of them is 0.8 s old: still inside the smoother's window
-_READOUT_NS = 6_000_000
-_IDLE_S = 0.05
-_START_S = 30.0
+QUEUE_SHOTS = 4  # at 5 a second the last of them is 0.8 s old: still inside the smoother's window (choice)
+_READOUT_NS = 6_000_000  # chosen: a fast small sensor's; a slower one only delays what is matched
+_IDLE_S = 0.05  # chosen: how late the process sees that it is to end
+_START_S = 30.0  # chosen: a busy machine imports slowly
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,13 +27,14 @@ PULSE = struct.Struct("<qq")
 HEADER = struct.Struct("<IIqqqqII")
 """magic, side, sequence, mid-exposure (host ns), exposure ns, row time ns, rows, columns; then the pixels."""
 
-MAGIC = 0x53574652  # "SWFR" in ASCII
+MAGIC = 0x53574652  # "SWFR" in ASCII (convention)
 PLAN_UNKNOWN = -1
-"""No camera knows which plan opened its shutter; pairing by exposure time is the service's business."""
+"""No camera knows which plan opened its shutter; pairing by exposure time is the service's business (convention)."""
 
-_LATENCY_JITTER_S = 0.00015
+_LATENCY_JITTER_S = 0.00015  # chosen: a path that repeats well, and whose rest the service has to bear
+# chosen: five minutes, for a machine that renders its first images under load
 _CONNECT_TRIES, _CONNECT_WAIT_S = 3000, 0.1
-_READ_BYTES = 1 << 20
+_READ_BYTES = 1 << 20  # chosen: an image of 640 x 480 in one read
 
 
 class Shutters:

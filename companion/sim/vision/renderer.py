@@ -25,10 +25,10 @@ from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
 
-_READ_NOISE = 0.8  # grey levels rms, an 8-bit machine-vision sensor
-_PHOTON_GAIN = 0.012  # variance of photon noise per grey level: 83 electrons a level
+_READ_NOISE = 0.8  # grey levels rms, an 8-bit machine-vision sensor (choice)
+_PHOTON_GAIN = 0.012  # variance of photon noise per grey level: 83 electrons a level (choice)
 PERFECT = ImageFaults()
-_NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, each way
+_NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, each way (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from companion.sim.flight.truth import FlightTruth
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 _BOARD_M = (30.0, 20.0)  # width and height of an obstacle: a large house (choice)
-_ROUNDING_RAD = 1e-6  # by which a cone is widened, so that nothing on its edge is lost
+_ROUNDING_RAD = 1e-6  # by which a cone is widened, so that nothing on its edge is lost (numerical)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

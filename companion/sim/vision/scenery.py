@@ -19,11 +19,11 @@ CONTRAST: dict[Ground, float] = {
 }
 """Contrast of the ground's texture over that of meadow, where it is not 1."""
 
-_FURROW = 12.0  # length of a clod along the furrow over its width (a plough's)
-_SNOW_LEVEL = 205.0  # grey level of snow where meadow has 118
-_BESIDE_M = 60.0  # to either side of the path: what a 44 deg lens sees from 100 m, and half as much again
-_HOUSE_EVERY_M, _TREE_EVERY_M, _FOREST_EVERY_M = 60.0, 25.0, 8.0
-_SURFACES = 1000  # numbers of surfaces for what stands on the ground, apart from the scene's own
+_FURROW = 12.0  # length of a clod along the furrow over its width (a plough's; choice)
+_SNOW_LEVEL = 205.0  # grey level of snow where meadow has 118 (choice)
+_BESIDE_M = 60.0  # to either side of the path: what a 44 deg lens sees from 100 m, and half as much again (choice)
+_HOUSE_EVERY_M, _TREE_EVERY_M, _FOREST_EVERY_M = 60.0, 25.0, 8.0  # chosen: a village's houses, its trees, and a wood's
+_SURFACES = 1000  # numbers of surfaces for what stands on the ground, apart from the scene's own (convention)
 
 
 def scene_of(flight: Flight) -> Scene:

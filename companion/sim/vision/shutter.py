@@ -12,9 +12,10 @@ from companion.core.stereo.geometry import Lens
 from companion.records import Bools, Floats, Ints
 from companion.sim.vision.texture import Image32
 
-NODES = (24, 32)
+NODES = (24, 32)  # chosen: rows and columns of cells, 20 pixels of a VGA image, in which lens and pose change little
+# numerical: within one exposure a pose is a parabola, over a rolling read-out of higher order
 _GLOBAL_POSES, _ROLLING_POSES = 3, 7
-_INSTANT_NS = 100
+_INSTANT_NS = 100  # numerical: no wing moves in it, and one pose stands for all
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +82,11 @@ class Window:
         return cls(int(start[0]), int(start[1]), int(stop[0] - start[0]), int(stop[1] - start[1]))
 
 
-STEP = 4  # px of the coarse grid on which rays are bent
-MARGIN_CELLS = 2  # of the coarse grid, for interpolation at the edge
-_OUTLINE_RAYS = 17  # along each side of a box: what a lens bends between two of them is less than 0.1 px
-_NEAR_M = 0.05  # nearer than this nothing is drawn: half a lens' length
-_EVEN = 0.005  # px: below it a shift is the same all over the image
+STEP = 4  # px of the coarse grid on which rays are bent (choice)
+MARGIN_CELLS = 2  # of the coarse grid, for interpolation at the edge (choice)
+_OUTLINE_RAYS = 17  # along each side of a box: what a lens bends between two of them is less than 0.1 px (choice)
+_NEAR_M = 0.05  # nearer than this nothing is drawn: half a lens' length (choice)
+_EVEN = 0.005  # px: below it a shift is the same all over the image (choice)
 
 
 class PixelGrid:

@@ -20,17 +20,18 @@ from companion.records import Floats
 Image32 = npt.NDArray[np.float32]
 Image16 = npt.NDArray[np.uint16]
 
-PERIOD_TEXELS = 1280  # texels after which the ground repeats
+PERIOD_TEXELS = 1280  # chosen: texels after which the ground repeats: the tile stays small, octaves never meet again
 CENTRE_PER_TEXEL = 1.0 / 8.0
-"""Centre frequency of the tile's band: low enough for bilinear sampling, high enough for the processor's cache."""
+"""Centre frequency of the tile's band: low for bilinear sampling, high for the processor's cache (choice)."""
 
+# convention: the middle of a uint16; five sigma of the noise fit into its range
 ZERO_LEVEL, LEVELS_PER_RMS = 32768, 6000
-_REPEATS = 3  # copies side by side, so that a window never wraps
+_REPEATS = 3  # copies side by side, so that a window never wraps (choice)
 
-_COARSEST, _FINEST = -8, 9  # octaves, 2^k cycles per metre: 256 m to 2 mm
-_LENS_SIGMA_PX = 0.45
-_FADE_FROM, _FADE_TO = 0.22, 0.36  # cycles per pixel at an octave's centre: full weight, none
-_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # no two octaves line up
+_COARSEST, _FINEST = -8, 9  # octaves, 2^k cycles per metre: 256 m to 2 mm (choice)
+_LENS_SIGMA_PX = 0.45  # chosen: a good small lens blurs by about half a pixel
+_FADE_FROM, _FADE_TO = 0.22, 0.36  # cycles per pixel at an octave's centre: full weight, none (choice)
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # by definition: no two octaves line up
 
 
 @dataclass(frozen=True, slots=True)

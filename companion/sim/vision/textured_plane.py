@@ -26,14 +26,14 @@ from companion.sim.vision.texture import (
     within_tile,
 )
 
-CONTRAST = 11.0  # grey levels rms of each octave
-_LEAST_WEIGHT = 0.01  # of an octave: below it motion has blurred it away
-_HORIZON_M = 1e4  # a pixel that spans this much shows nothing
-_POSES_PER_CYCLE = 7.0  # of blur: the average then follows the true blur of a wave to 3 % of its amplitude
+CONTRAST = 11.0  # chosen: grey levels rms of each octave: rough ground in daylight
+_LEAST_WEIGHT = 0.01  # of an octave: below it motion has blurred it away (choice)
+_HORIZON_M = 1e4  # a pixel that spans this much shows nothing (choice)
+_POSES_PER_CYCLE = 7.0  # of blur: the average then follows the true blur of a wave to 3 % of its amplitude (choice)
 _MOST_POSES = 16  # a bound on the cost of one exposure
 _OUTLINE_POSES = 8  # a bound on the cost of an outline
-_COARSE = ((4, 0.03), (2, 0.06))  # reduced resolution for octaves below so many cycles per pixel
-_EDGE_ON_M = 1e-6
+_COARSE = ((4, 0.03), (2, 0.06))  # chosen: reduced resolution for octaves below so many cycles per pixel
+_EDGE_ON_M = 1e-6  # numerical: a plane seen so flat has no homography
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,16 +15,16 @@ from companion.adapters.mavlink.link.dialect import mavlink
 from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
 
 SECTORS = 72  # length of OBSTACLE_DISTANCE.distances (MAVLink common.xml)
-_SECTOR_DEG = 5  # 360 degrees over 72 sectors
+_SECTOR_DEG = 5  # 360 degrees over 72 sectors (derived)
 _FIRST = 4  # so many sectors left of straight ahead the circle begins: where ArduPilot's face ahead does
-_CM = 100.0  # centimetres per metre
-_LARGEST_CM = 65_533  # UINT16_MAX less 2: one more says "beyond", UINT16_MAX "unknown"
+_CM = 100.0  # centimetres per metre (by definition)
+_LARGEST_CM = 65_533  # UINT16_MAX less 2: one more says "beyond", UINT16_MAX "unknown" (derived)
 _UNKNOWN_CM = 65_535  # UINT16_MAX: OBSTACLE_DISTANCE's "unknown" (MAVLink common.xml)
 _NO_OBSTACLE_ID = 65_535  # UINT16_MAX: OBSTACLE_DISTANCE_3D's "no id" (MAVLink)
 _UNKNOWN_COVARIANCE = 255  # UINT8_MAX: DISTANCE_SENSOR's "unknown" (MAVLink common.xml)
-_LARGEST_COVARIANCE = 254  # the largest uint8 that is not "unknown"
+_LARGEST_COVARIANCE = 254  # the largest uint8 that is not "unknown" (derived)
 NO_RANGE_QUALITY, _LEAST_QUALITY, _BEST_QUALITY = 1, 2, 100  # percent; 1 is MAVLink's "invalid", 0 its "unknown"
-_UINT32 = 0xFFFFFFFF  # mask of the wire's uint32
+_UINT32 = 0xFFFFFFFF  # mask of the wire's uint32 (by definition)
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 _NAME_CHARACTERS = 10  # char[10] of NAMED_VALUE_FLOAT (MAVLink common.xml)
 _TEXT_CHARACTERS = 50  # char[50] of STATUSTEXT (MAVLink common.xml)

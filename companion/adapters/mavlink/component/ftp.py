@@ -20,10 +20,10 @@ from companion.rate_limiter import RateLimiter
 _HEAD = struct.Struct("<HBBBBBBI")
 _DATA_BYTES = 239  # payload less the FTP header (MAVLink FTP protocol)
 _PAYLOAD_BYTES = 251  # payload of FILE_TRANSFER_PROTOCOL (MAVLink common.xml)
-_PACE_NS = 10_000_000
+_PACE_NS = 10_000_000  # chosen: 24 kB/s at most, a quarter of a 921,600 baud line
 _MOST_CLIENTS = 4  # bound of memory: more ground stations than a vehicle has
 _MOST_WAITING = 16  # bound of memory
-_BURST_PACKETS = 40  # a burst of 9.6 kB: 0.4 s at our pace, then the client asks on
+_BURST_PACKETS = 40  # a burst of 9.6 kB: 0.4 s at our pace, then the client asks on (choice)
 
 # opcodes (MAVLink FTP protocol)
 _NONE, _TERMINATE, _RESET, _LIST, _OPEN, _READ, _CRC, _BURST = 0, 1, 2, 3, 4, 5, 14, 15

@@ -9,10 +9,10 @@ from typing import Any
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.rate_limiter import RateLimiter
 
-_PERIOD_NS = 1_000_000_000
+_PERIOD_NS = 1_000_000_000  # convention: once a second, as the heartbeat
 # "unknown" of each field (MAVLink common.xml)
 _UNKNOWN_8, _UNKNOWN_TEMPERATURE, _UNKNOWN_16, _UNKNOWN_32 = 0xFF, 127, 32767, 0xFFFFFFFF
-_MIB = 1 << 20  # bytes
+_MIB = 1 << 20  # bytes (by definition)
 _CORES = 8  # length of cpu_cores (MAVLink common.xml)
 
 

@@ -24,11 +24,11 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice, ParameterChange
 from companion.units import Severity
 
-_SECOND_NS = 1_000_000_000
-_PACE_NS = 25_000_000  # 40 values a second: 1.5 kB/s of the link
+_SECOND_NS = 1_000_000_000  # by definition
+_PACE_NS = 25_000_000  # 40 values a second: 1.5 kB/s of the link (choice)
 _GREETINGS = 3  # convention: the table once, then two single values
-_GONE_NS = 10 * _SECOND_NS
-_ASKED_AGAIN_NS = 5 * _SECOND_NS
+_GONE_NS = 10 * _SECOND_NS  # chosen: heartbeats come every second: ten missed ones are a station that was closed
+_ASKED_AGAIN_NS = 5 * _SECOND_NS  # chosen: longer than a ground station waits before it asks again
 _MOST_STATIONS = 16  # bound of memory
 _MOST_EVENTS = 64  # bound of memory
 _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32

@@ -18,12 +18,12 @@ from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, NoRange, ObstacleSectors, VehicleState
 from companion.units import Orientation
 
-_CLIMBS = 32  # some seconds of states at the usual rates
-_CIRCLE, _POINTS = 1, 2  # values of the tunable OUT_OBSTACLES' setting ``obstacles``
-_RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins anew
+_CLIMBS = 32  # some seconds of states at the usual rates (choice)
+_CIRCLE, _POINTS = 1, 2  # values of the tunable OUT_OBSTACLES' setting ``obstacles`` (convention)
+_RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins anew (choice)
 _CLIMB_SIGMA_MPS = 0.3  # of a told climb rate, and of level ground under an aircraft in flight (choice)
 _OLDEST_NS = 2_000_000_000  # a range older than this is not moved on (choice)
-_EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be
+_EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
 
 
 class RangePublisher:

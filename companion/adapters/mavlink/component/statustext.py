@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from companion.records import Notice
 from companion.units import Severity
 
-_SECOND_NS = 1_000_000_000
-_REPEAT_NS = 10 * _SECOND_NS
+_SECOND_NS = 1_000_000_000  # by definition
+_REPEAT_NS = 10 * _SECOND_NS  # chosen: often enough for a reader, rare enough for a slow link
 _REFILL_NS = _SECOND_NS
 _BURST = 8  # texts at once, a convention
-_RESERVED_FOR_ERRORS = 3  # places of the burst
+_RESERVED_FOR_ERRORS = 3  # chosen: places of the burst that chatter cannot take from errors
 _MOST_TEXTS = 64  # bound of memory
 
 

@@ -32,7 +32,7 @@ _FORMS = {
     "SCALED_IMU3": _SCALED,
 }
 _FORM_OF = {ID_OF[name]: form for name, form in _FORMS.items()}
-_COUNTED = 5  # position, frames, checksum errors, unknown, skipped bytes
+_COUNTED = 5  # position, frames, checksum errors, unknown, skipped bytes (by definition)
 _SHORTEST = 8  # bytes of a MAVLink 1 frame without payload
 
 # what a byte leaves in the checksum, alone and with one to seven zeros behind it: eight bytes are taken at once

@@ -5,7 +5,7 @@ from __future__ import annotations
 from companion.rate_limiter import RateLimiter
 from companion.records import Reject, Rejected
 
-_PERIOD_NS = 1_000_000_000
+_PERIOD_NS = 1_000_000_000  # chosen: a flood of refusals becomes one sentence a second
 _MOST_KINDS = 64  # bound of memory against invented subjects
 
 

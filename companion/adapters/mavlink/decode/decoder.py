@@ -29,7 +29,7 @@ from companion.records import ClockRestart, ImuBatch, Notice, RawChunk, Record, 
 from companion.units import Severity
 
 OUTGOING = 128
-"""Added to the link number of chunks that we sent."""
+"""Added to the link number of chunks that we sent (convention)."""
 
 _RARE_NAMES = (
     "ATTITUDE",

@@ -17,7 +17,7 @@ from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS, Clock
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
 _COLUMNS = np.arange(6)
-_BEYOND_NS = -1  # mark of the layouts: a stamp beyond any clock
+_BEYOND_NS = -1  # mark of the layouts: a stamp beyond any clock (convention)
 
 
 class StationReader:

@@ -25,12 +25,13 @@ from companion.records import Axis, Floats, Ints
 from companion.units import GRAVITY_MPS2
 
 TUNNEL_IMU_TYPE = 0xA1C0  # payload type of inertial batches, ours: from 32768 on they are free (MAVLink)
-BATCH_SAMPLES = 9  # as many six-axis int16 samples as TUNNEL's 128 bytes take beside their head
-_IMPLAUSIBLE_SEVENTH = 0x20  # seventh byte of a uint64 in us: from 2^53 on, 285 years
-IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
+BATCH_SAMPLES = 9  # as many six-axis int16 samples as TUNNEL's 128 bytes take beside their head (derived)
+_IMPLAUSIBLE_SEVENTH = 0x20  # seventh byte of a uint64 in us: from 2^53 on, 285 years (derived)
+IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48  # derived: the smallest stamp that has the seventh byte's bit
 _COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
 _Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]
-_MG = GRAVITY_MPS2 / 1000.0
+_MG = GRAVITY_MPS2 / 1000.0  # by definition: a milli-g, the unit of the old messages
+# by definition: SI units of a count, milli-g and mrad/s (MAVLink common.xml)
 INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
 
 

@@ -29,7 +29,7 @@ from companion.records import (
 
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
-_STATE_PERIOD_MS = 20
+_STATE_PERIOD_MS = 20  # chosen: 50 states a second at most; display and motion want 20
 _VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
 # an accuracy that is older is not that of the velocity: ArduPlane streams GPS_RAW_INT at 1 Hz, PX4 at 1 to 5 (choice)
 _ACCURACY_AGE_NS = 3_000_000_000

@@ -15,7 +15,7 @@ from companion.records import Axis, ClockName, Floats, Ints, Station
 
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1 (MAVLink common.xml)
 _LETTERS = "xyzpqr"
-_NANOSECONDS = 1_000_000_000  # per second
+_NANOSECONDS = 1_000_000_000  # per second (by definition)
 
 
 @dataclass(frozen=True, slots=True)

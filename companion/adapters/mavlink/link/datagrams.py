@@ -13,12 +13,12 @@ from companion.native.library import ARRAY, INTEGER, kernel
 
 OTHER, FRAMES, GUARDED_FRAMES = range(3)
 """Form of a datagram: anything; whole frames by their headers; the same, and one of them with a guarded id."""
-_SLOT_BYTES = 65536  # room for the largest datagram of UDP
+_SLOT_BYTES = 65536  # room for the largest datagram of UDP (convention)
 _MOST_AT_ONCE = 32  # by one system call, chosen: more save nothing
 _MOST_ROWS = 256  # of a read, about; bound of memory
 _MOST_BYTES = 1 << 20  # of a read, about; bound of memory
 _MANY_ADDRESSES = 64  # bound of memory against invented senders
-_COLUMNS = 4  # sender, start, stop, form
+_COLUMNS = 4  # sender, start, stop, form (by definition)
 _FAILED = -1000  # convention with the kernel: less the system's number of the error
 _NO_SYSTEM = -1  # convention: no system id is negative
 

@@ -18,7 +18,7 @@ from companion.params.links import LinkAddress, LinkKind, parse_link
 from companion.ports import Clock
 from companion.records import RawChunk
 
-CHUNK_BYTES = 65536  # most bytes of a read: 0.7 s of a 921,600 baud line
+CHUNK_BYTES = 65536  # most bytes of a read: 0.7 s of a 921,600 baud line (choice)
 
 
 class Transport(Protocol):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 _FIRST_NS = 250_000_000  # convention: then twice as long each time
-_LONGEST_NS = 8_000_000_000
+_LONGEST_NS = 8_000_000_000  # chosen: a link that comes back is found again within some seconds
 
 
 class Backoff:

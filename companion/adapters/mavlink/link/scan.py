@@ -19,7 +19,7 @@ _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _HEADER_1, _HEADER_2 = 6, 10  # bytes of the header (MAVLink serialization)
 _SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
 _SIGNATURE_BYTES = 13  # link id, timestamp, signature (MAVLink signing)
-_SHORTEST_2 = _HEADER_2 + 2  # header and checksum
+_SHORTEST_2 = _HEADER_2 + 2  # header and checksum (derived)
 # where a frame may begin; the last bytes of a chunk may begin one whose header is not there yet
 _CANDIDATE = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.{0,8}\Z)", re.DOTALL)
 _LAST_BYTE: tuple[int, ...] = tuple(mcrf4xx(bytes([byte]), 0) for byte in range(256))
@@ -27,8 +27,8 @@ _EXTRA_OF = {identity.to_bytes(3, "little"): extra for identity, extra in CRC_EX
 # of MAVLink 1, which has no extensions: what is longer is no frame, and its checksum is not worth the time; -1: unknown
 _LONGEST = tuple(payload_size(identity) if identity in CRC_EXTRA else -1 for identity in range(256))
 _EXTRA_1 = tuple(CRC_EXTRA.get(identity, 0) for identity in range(256))
-_LARGEST_1 = _HEADER_1 + 255 + 2  # header, 255 bytes of payload, checksum
-INCOMPLETE, NO_FRAME, UNKNOWN, DAMAGED = -1, -2, -3, -4  # in the place of a frame's end
+_LARGEST_1 = _HEADER_1 + 255 + 2  # header, 255 bytes of payload, checksum (derived)
+INCOMPLETE, NO_FRAME, UNKNOWN, DAMAGED = -1, -2, -3, -4  # in the place of a frame's end (convention)
 
 Frame = tuple[int, bytes]
 """Sender and message id of a frame, see :func:`sender`, and its payload."""

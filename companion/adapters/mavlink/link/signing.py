@@ -43,13 +43,13 @@ _SIGNATURE_BYTES = 13  # link id, timestamp, signature (MAVLink signing)
 _KEY_BYTES = 32  # a SHA-256 hash (MAVLink signing)
 _UNIT_NS = 10_000  # unit of a signature's timestamp (MAVLink signing)
 _MINUTE = 60 * 100_000  # in units of 10 us: how far behind a new stream may be (MAVLink signing)
-_SECOND = 100_000  # in units of 10 us
+_SECOND = 100_000  # in units of 10 us (derived)
 _RESTART = _SECOND
-_SAVE_PERIOD_NS = 500_000_000
-_EPOCH_S = 1_420_070_400  # 2015-01-01
+_SAVE_PERIOD_NS = 500_000_000  # chosen: twice a second, so that a power cut lets in again no more than came since
+_EPOCH_S = 1_420_070_400  # 2015-01-01 (by definition)
 _LARGEST = (1 << 48) - 1  # 48 bits of timestamp (MAVLink signing)
 _MOST_STREAMS = 1024  # bound of memory
-_SAY_PERIOD_NS = 10_000_000_000
+_SAY_PERIOD_NS = 10_000_000_000  # chosen: refused frames are told every ten seconds, not one by one
 
 
 class Refusal(enum.StrEnum):

@@ -10,8 +10,8 @@ import socket
 from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.errors import LinkError
 
-_FIRST_CONNECT_S = 3.0
-_MOST_UNSENT_BYTES = 65536
+_FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, and the start is not held up longer
+_MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
 
 
 class _BufferedSocket:

@@ -14,8 +14,8 @@ from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_fra
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import LinkError
 
-_RECEIVE_BUFFER_BYTES = 1 << 20
-_LARGEST_DATAGRAM = 65536  # bytes, of UDP
+_RECEIVE_BUFFER_BYTES = 1 << 20  # chosen: seconds of inertial frames, so that a pause of the reader loses none
+_LARGEST_DATAGRAM = 65536  # bytes, of UDP (by definition)
 _MOST_PEERS = 16  # bound of memory
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
 _MOST_READS = 64  # of 64 system calls each at most; the same bound where many are read at once

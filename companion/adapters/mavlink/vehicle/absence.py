@@ -8,9 +8,9 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_PATIENCE_NS = 3_000_000_000
-_REPEAT_NS = 30_000_000_000
-_MOST_NAMED = 8  # a flood of invented senders must take no memory, and a sentence names no more
+_PATIENCE_NS = 3_000_000_000  # chosen: three heartbeats of the autopilot must be missing
+_REPEAT_NS = 30_000_000_000  # chosen: often enough for a reader, rare enough for a slow link
+_MOST_NAMED = 8  # a flood of invented senders must take no memory, and a sentence names no more (choice)
 
 
 def absence_text(others: Iterable[tuple[int, int]], *, junk: bool) -> str:

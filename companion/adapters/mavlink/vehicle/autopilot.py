@@ -51,8 +51,8 @@ from companion.records import (
     VehicleState,
 )
 
-_SECOND_NS = 1_000_000_000
-_STATE_RATE_HZ = 20.0  # attitude, airspeed and velocity over ground, for display and rigid motion
+_SECOND_NS = 1_000_000_000  # by definition
+_STATE_RATE_HZ = 20.0  # attitude, airspeed and velocity over ground, for display and rigid motion (choice)
 _MOST_ANSWERS = 16  # TIMESYNC answers in one chunk; bound of the time of one read
 _MOST_HELD = 16  # bound of memory
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from companion.records import Bools, ClockName, Ints
 
-BACK_NS = 1_000_000_000
-AHEAD_NS = 1_000_000_000
-CONFIRMATIONS = 3  # in a row: a late datagram is a sample or two
-_ADOPT_NS = 1_000_000_000
-_ALIVE_NS = 1_000_000_000
+BACK_NS = 1_000_000_000  # chosen: no datagram is so late; a restart goes back by more
+AHEAD_NS = 1_000_000_000  # chosen: no link holds samples back so long
+CONFIRMATIONS = 3  # in a row: a late datagram is a sample or two (choice)
+_ADOPT_NS = 1_000_000_000  # chosen: samples of the old epoch are no longer on their way by then
+_ALIVE_NS = 1_000_000_000  # chosen: a source that is silent for longer may itself have been restarted
 LEAPS = ": time leaps"
 """Ends the name of a source whose stamps were refused because they were ahead."""
 

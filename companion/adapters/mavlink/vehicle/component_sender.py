@@ -17,7 +17,7 @@ from companion.ports import Clock
 from companion.records import Notice, RawChunk
 
 _FIRST_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
-_COMMAND_PARAMETERS = 7  # of a COMMAND_LONG
+_COMMAND_PARAMETERS = 7  # of a COMMAND_LONG (by definition)
 _MOST_UNREAD = 1024  # frames; bound of memory
 
 

@@ -14,10 +14,10 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_REMEMBERED = 512  # frames that we sent: some seconds of them
-_CONFIRMATIONS = 3  # a frame from before our own restart is one
-_WINDOW_NS = 10_000_000_000
-_REPEAT_NS = 30_000_000_000
+_REMEMBERED = 512  # frames that we sent: some seconds of them (choice)
+_CONFIRMATIONS = 3  # a frame from before our own restart is one (choice)
+_WINDOW_NS = 10_000_000_000  # chosen: as long as the confirmations may take; strays are further apart
+_REPEAT_NS = 30_000_000_000  # chosen: often enough for a reader, rare enough for a slow link
 
 
 class IdConflictDetector:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from companion.records import ClockName
 
-_MS_NS = 1_000_000
-_HURRY_PERIOD_NS = 50 * _MS_NS
-_PERIOD_NS = 100 * _MS_NS
-_DITHER = 0.4  # of a period: lest requests keep step with the autopilot's loop
-_GOLDEN = 0.6180339887498949  # golden ratio less 1: its multiples fill the period evenly
-_HURRY_NS = 5_000 * _MS_NS
-_AWAITED_NS = 15 * _MS_NS
-_MOST_UNANSWERED = 5  # requests, then the answer is not waited for
-_ASK_PERIOD_NS = 50 * _MS_NS
-_RETRY_NS = 1_000 * _MS_NS
-_TRIES = 5  # for each parameter
-_REFRESH_NS = 30_000 * _MS_NS
+_MS_NS = 1_000_000  # by definition
+_HURRY_PERIOD_NS = 50 * _MS_NS  # chosen: twice the usual rate while a clock is unknown
+_PERIOD_NS = 100 * _MS_NS  # chosen: ten exchanges a second fill the window of the clock with bounds
+_DITHER = 0.4  # of a period: lest requests keep step with the autopilot's loop (choice)
+_GOLDEN = 0.6180339887498949  # golden ratio less 1: its multiples fill the period evenly (by definition)
+_HURRY_NS = 5_000 * _MS_NS  # chosen: a hundred exchanges settle a clock
+_AWAITED_NS = 15 * _MS_NS  # chosen: answers of a wired link come within it; a later one is read at the next poll
+_MOST_UNANSWERED = 5  # requests, then the answer is not waited for (choice)
+_ASK_PERIOD_NS = 50 * _MS_NS  # chosen: twenty parameters a second flood no radio link
+_RETRY_NS = 1_000 * _MS_NS  # chosen: a slow link has answered by then, or the request is lost
+_TRIES = 5  # chosen: for each parameter: what is lost five times is not there
+_REFRESH_NS = 30_000 * _MS_NS  # chosen: a parameter that a pilot changes is known half a minute later
 
 NEEDED_PARAMETERS = (
     "INS_ACCEL_FILTER",

@@ -17,19 +17,19 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_SECOND_NS = 1_000_000_000
-_ACK_TIMEOUT_NS = 300_000_000
-_SILENT_PAUSE_NS = 5 * _SECOND_NS
-_REFUSED_PAUSE_NS = 30 * _SECOND_NS
-_LONGEST_PAUSE_NS = 10 * _SECOND_NS
-_TRIES = 5  # before a pause
+_SECOND_NS = 1_000_000_000  # by definition
+_ACK_TIMEOUT_NS = 300_000_000  # chosen: an acknowledgement over a radio link comes within it
+_SILENT_PAUSE_NS = 5 * _SECOND_NS  # chosen: an autopilot that starts up answers some seconds later
+_REFUSED_PAUSE_NS = 30 * _SECOND_NS  # chosen: a refusal rarely changes within a flight
+_LONGEST_PAUSE_NS = 10 * _SECOND_NS  # chosen: the longest that a lost rate may go unnoticed
+_TRIES = 5  # chosen: requests in 1.5 s, before a pause leaves the link to others
 _ENOUGH = 0.75  # of the granted rate: ArduPilot truncates intervals to ms, 400 Hz become 333
-_SLOWER = 1.25  # factor of the interval after a denial
-_SLOWEST_US = 200_000
-_SLOW_VERDICTS = 3  # seconds in a row
-_SLOW_REPEAT_NS = 60 * _SECOND_NS
+_SLOWER = 1.25  # chosen: factor of the interval after a denial: a few steps find what is granted
+_SLOWEST_US = 200_000  # chosen: 5 Hz, below which no mode is seen: less is not asked for
+_SLOW_VERDICTS = 3  # chosen: seconds in a row: a burst of other traffic is no slow stream
+_SLOW_REPEAT_NS = 60 * _SECOND_NS  # chosen: the loop rate is not changed in flight; once a minute is a reminder
 SAMPLES_PER_PERIOD = 10.0
-"""Samples that the tracker wants of every period of the fastest mode."""
+"""Samples that the tracker wants of every period of the fastest mode (choice)."""
 
 
 @dataclass(slots=True)

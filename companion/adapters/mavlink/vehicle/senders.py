@@ -14,12 +14,12 @@ from companion.units import Severity
 Address = tuple[str, int]
 Key = tuple[int, int]
 
-_ALIVE_NS = 1_500_000_000
-_COPIES = 128  # latest frames of a holder, among which a router's copy is looked for
-_CONFIRMATIONS = 3  # a stray frame or two prove nothing
-_REPEAT_NS = 30_000_000_000
-_REPORT_NS = 1_000_000_000
-_WINDOW_NS = 10_000_000_000
+_ALIVE_NS = 1_500_000_000  # chosen: one heartbeat may be lost before an id passes to another sender
+_COPIES = 128  # latest frames of a holder, among which a router's copy is looked for (choice)
+_CONFIRMATIONS = 3  # a stray frame or two prove nothing (choice)
+_REPEAT_NS = 30_000_000_000  # chosen: often enough for a reader, rare enough for a slow link
+_REPORT_NS = 1_000_000_000  # chosen: a flood of foreign frames becomes one count a second
+_WINDOW_NS = 10_000_000_000  # chosen: the confirmations, a second apart at least, come well within it
 
 
 @dataclass(slots=True)

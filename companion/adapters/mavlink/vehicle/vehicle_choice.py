@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterator
 from companion.records import Notice
 from companion.units import Severity
 
-_SILENT_NS = 5_000_000_000
+_SILENT_NS = 5_000_000_000  # chosen: five heartbeats must be missing before another autopilot is served
 _MOST_OTHERS = 8  # bound of memory and of sentences
-_CONFIRMATIONS = 3  # heartbeats: a stray frame moves nothing
+_CONFIRMATIONS = 3  # heartbeats: a stray frame moves nothing (choice)
 
 
 class VehicleChoice:

@@ -23,13 +23,14 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, ClockRestart, ImuBatch, Ints, RawChunk, Record, Station, VehicleState
 
-_STAMP = 8  # bytes of the big-endian microseconds before each frame (MAVProxy, mavutil)
+_STAMP = 8  # bytes of the big-endian microseconds before each frame (MAVProxy, mavutil; convention)
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
-_CHUNK_US = 20_000
-_CHUNK_FRAMES = 128  # frames that are decoded together
-_LONGEST_STEP_US = 3_600_000_000  # of the receive time; a longer one is believed where the next frame agrees with it
+_CHUNK_US = 20_000  # chosen: as a live read: two ticks of the service at 100 Hz
+_CHUNK_FRAMES = 128  # chosen: frames decoded together: a chunk without stamps of its own stays short
+# of the receive time; a longer one is believed where the next frame agrees with it (choice)
+_LONGEST_STEP_US = 3_600_000_000
 EARLIEST_US = 946_684_800_000_000
-"""The year 2000, UTC in microseconds: an autopilot without GPS tells 0."""
+"""The year 2000, UTC in microseconds: an autopilot without GPS tells 0 (choice)."""
 
 
 class TlogRecording(LoggedRecording):

@@ -20,17 +20,17 @@ from companion.errors import RecordingError
 from companion.records import Ints
 
 MAGIC = b"ULog\x01\x12\x35"
-_FIRST = 16  # bytes of the file's header
-_HEAD = 3  # bytes of a message's: size and kind
+_FIRST = 16  # bytes of the file's header (by definition)
+_HEAD = 3  # bytes of a message's: size and kind (by definition)
 _KINDS = b"FDIMPQARSLOCB"
 _FORMAT, _DATA, _PARAMETER, _ADD, _DROPOUT, _FLAGS = b"FDPAOB"
 _CANDIDATE = re.compile(rb"(?=[\x00-\xff]{2}[" + _KINDS + rb"])", re.DOTALL)
-_CHAIN = 5  # messages in a row that prove a place behind damage
-_LONG = 1000  # bytes: few true messages are longer
-_MOST_UNKNOWN_BYTES = 10_000
+_CHAIN = 5  # messages in a row that prove a place behind damage (choice)
+_LONG = 1000  # bytes: few true messages are longer (choice)
+_MOST_UNKNOWN_BYTES = 10_000  # chosen: a message of a later version is hardly longer
 _MOST_BYTES = 65_535  # the size of a message is a uint16 (PX4's ULog format)
-_MOST_NESTED = 8  # depth of types within types
-_MOST_ELEMENTS = 64  # of an array that is given as columns
+_MOST_NESTED = 8  # bound of recursion: depth of types within types
+_MOST_ELEMENTS = 64  # of an array that is given as columns (choice)
 _TYPES = {
     "int8_t": "i1",
     "uint8_t": "u1",

@@ -22,9 +22,9 @@ MAGIC = b"\x89MCAP0\r\n"
 """The first bytes of a file (MCAP specification)."""
 _HEAD = 9  # bytes: opcode and length of a record (MCAP specification)
 _INDEXED_OPCODES = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
-_MOST_CHUNK_BYTES = 1 << 28
+_MOST_CHUNK_BYTES = 1 << 28  # bound of memory: our own recorder's chunks have 4 MiB, others' some more
 LONGEST_CHUNK_S = 60.0
-"""Beyond, a chunk's times are damaged: the recorder ends one about every second."""
+"""Beyond, a chunk's times are damaged: the recorder ends one about every second (choice)."""
 DAMAGE = (
     McapError,
     CRCValidationError,

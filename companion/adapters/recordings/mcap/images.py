@@ -15,8 +15,8 @@ import numpy as np
 from companion.errors import RecordingError
 from companion.records import Bytes, ClockName, Frame, Side
 
-_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # 1 of 9: larger files, a fraction of the time
-_GOOD_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 90]  # 90 of 100
+_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # chosen: 1 of 9: larger files, a fraction of the time
+_GOOD_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 90]  # chosen: 90 of 100: a small file whose corners are whole
 
 
 class ImageFormat(enum.StrEnum):

@@ -16,9 +16,9 @@ from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderRe
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 
-_IDLE_S = 0.25
-_IDLE_ROUNDS = 4  # waits without a record before the recorder ends
-_TRY_AGAIN_S = 30.0
+_IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
+_IDLE_ROUNDS = 4  # waits without a record before the recorder ends (choice)
+_TRY_AGAIN_S = 30.0  # chosen: a full disk is looked at twice a minute
 _PARTS = 4  # of what is kept: three finished ones and the one in progress (choice)
 
 

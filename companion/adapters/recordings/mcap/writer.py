@@ -25,9 +25,9 @@ from companion.params.files import dump_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, FramePair
 
-FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread
-_CHUNK_NS = 1_000_000_000
-_CHUNK_BYTES = 4 * 1024 * 1024
+FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread (convention)
+_CHUNK_NS = 1_000_000_000  # chosen: a crash costs a second at most
+_CHUNK_BYTES = 4 * 1024 * 1024  # chosen: several images fit in; the reader's memory per chunk stays small
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,8 @@ _UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter i
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
-_MOST_G = 3.0  # on average
-_FEWEST = 100  # samples that gravity is judged by
+_MOST_G = 3.0  # chosen: on average no flight pulls more; a higher mean is a wrong unit
+_FEWEST = 100  # chosen: samples that gravity is judged by: fewer may all lie in one manoeuvre
 RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
 
 

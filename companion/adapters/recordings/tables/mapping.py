@@ -16,7 +16,7 @@ from companion.params.airframe import Uncertain
 from companion.params.shipped import read_shipped, shipped_names
 from companion.params.toml import LARGEST, parse_toml
 
-_MOST_LINES = 1_000_000  # header of a table: more is a slip
+_MOST_LINES = 1_000_000  # header of a table: more is a slip (choice)
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 

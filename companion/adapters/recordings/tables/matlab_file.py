@@ -24,8 +24,8 @@ _CELL, _CHARACTER, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 4, 6, 15, 17  # arr
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # data types of text (MAT-File Level 5 format)
 _ENCODINGS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-_MOST_INFLATED_BYTES = 400_000_000
-_MOST_NESTED = 4  # depth of cells within cells
+_MOST_INFLATED_BYTES = 400_000_000  # bound of memory against compressed nonsense
+_MOST_NESTED = 4  # bound of recursion: depth of cells within cells
 _MOST_CELLS = 100_000  # bound of memory
 
 

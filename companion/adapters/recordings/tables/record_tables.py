@@ -21,7 +21,7 @@ from companion.records import Flow, Frame, FramePair, ImuBatch, MatchSet, RawChu
 
 _NO_ROWS = (RawChunk, ImuBatch, Frame, FramePair)
 """Kinds that are no row: bytes, blocks of samples, images."""
-_MOST_CELLS = 64  # a larger array (an obstacle circle has 72 sectors) is one cell
+_MOST_CELLS = 64  # a larger array (an obstacle circle has 72 sectors) is one cell (choice)
 POINTS = "vision_points.csv"
 _FLOW = ("earlier_pair_id", "earlier_column_px", "earlier_row_px", "earlier_sigma_px")
 _POINT = ("pair_id", "left_column_px", "left_row_px", "right_column_px", "right_row_px", "sigma_px", "filled", *_FLOW)

@@ -9,13 +9,13 @@ import numpy as np
 
 from companion.records import Floats
 
-_LATTICES_S = (0.1, 0.01, 0.001, 1e-4, 1e-5)
-_ON_LATTICE = 1e-3  # of the lattice: what decimal fractions and sums of them are off
-_HARMLESS = 0.02  # of a period: finer rounding is left alone
-_FIRST = 32  # samples that are put on a line first
-_GROWTH = 4  # then a quarter more to each side: a line through a few rounded stamps reaches no further
-_SLACK = 1.5  # of the lattice: rounding alone spans 1, a line through few stamps somewhat more
-_HOLE = 2.5  # usual steps
+_LATTICES_S = (0.1, 0.01, 0.001, 1e-4, 1e-5)  # convention: programs round times to whole decimals
+_ON_LATTICE = 1e-3  # of the lattice: what decimal fractions and sums of them are off (choice)
+_HARMLESS = 0.02  # of a period: finer rounding is left alone (choice)
+_FIRST = 32  # samples that are put on a line first (choice)
+_GROWTH = 4  # then a quarter more to each side: a line through a few rounded stamps reaches no further (choice)
+_SLACK = 1.5  # of the lattice: rounding alone spans 1, a line through few stamps somewhat more (choice)
+_HOLE = 2.5  # chosen: usual steps: one sample may be lost, two may not
 
 
 def without_rounding(t_s: Floats) -> tuple[Floats, str]:

@@ -15,10 +15,10 @@ from companion.adapters.recordings.tables.units import unit_of
 
 README = "README.txt"
 _FIRST_WORDS = "CSV tables that spanwise convert wrote"
-_WIDTH = 100  # letters of a line
+_WIDTH = 100  # chosen: letters of a line that a terminal shows whole
 _UNITS = {"hz": "Hz", "mps": "m/s", "mps2": "m/s^2", "radps": "rad/s", "count": ""}  # as they are written
 _TIED = "\N{NO-BREAK SPACE}"  # between a name and its unit, which stay on a line
-_FEW = 3  # entries of an array that are listed (choice)
+_FEW = 3  # chosen: entries of an array that are listed before the rest is counted
 _GENERAL = """\
 Columns are the attributes of a record. name_0, name_1 are the entries of an array (of a matrix row by row), name.part
 is an entry of a nested record, an empty cell is a value that was absent, an array of more than 64 entries is one cell.

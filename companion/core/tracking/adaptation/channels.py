@@ -15,7 +15,7 @@ from companion.units import GRAVITY_MPS2
 # of the rows: both vertical ones, root roll rate, bend by the load factor, both families' rates of slope (NaN: unknown)
 COLUMNS, ROLL, STATIC, SLOPE_RATES = 6, 2, 3, slice(4, 6)
 
-_MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # twice the weights of the left and right row
+_MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # by definition: twice the weights of the left and right row
 
 
 class Channels:

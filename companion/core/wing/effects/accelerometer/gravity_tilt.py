@@ -11,7 +11,7 @@ from companion.core.wing.effect import Complexes, Effect, Group, parameter
 from companion.records import Floats, Station
 from companion.units import GRAVITY_MPS2
 
-_SLOWEST_RADPS = 1.5  # below, the leak is a bias
+_SLOWEST_RADPS = 1.5  # below, the leak is a bias (choice)
 
 
 @dataclass(frozen=True, slots=True)

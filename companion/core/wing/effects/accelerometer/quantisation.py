@@ -13,7 +13,7 @@ from companion.core.wing.samples import CERTAIN, SampleDefect, lattice_step
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
-_COARSE = 0.25  # of the believed noise's variance: 1 dB
+_COARSE = 0.25  # of the believed noise's variance: 1 dB (choice)
 
 
 @dataclass(frozen=True, slots=True)

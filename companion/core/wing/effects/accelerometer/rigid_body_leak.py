@@ -11,7 +11,7 @@ from companion.core.wing.effect import Effect, Group, parameter
 from companion.records import Floats, Station
 from companion.units import GRAVITY_MPS2
 
-_ROLL = 3  # column of the roll rate in ImuBatch.values
+_ROLL = 3  # column of the roll rate in ImuBatch.values (convention)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from companion.core.wing.samples import SampleDefect, lattice_step
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
-_FEWEST = 8  # samples at the limit
-_PILE = 4.0  # times what a smooth tail has there
+_FEWEST = 8  # chosen: samples at the limit: a few may be chance peaks
+_PILE = 4.0  # chosen: times what a smooth tail has there: far beyond its scatter
 
 
 @dataclass(frozen=True, slots=True)

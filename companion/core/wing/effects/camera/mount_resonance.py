@@ -12,10 +12,10 @@ import numpy as np
 from companion.core.wing.effect import MOUNT_DAMPING, CameraView, Effect, Group, parameter
 from companion.records import Side
 
-_LOWEST_HZ, _HIGHEST_HZ = 8.0, 80.0
-_APART = 0.01  # of a frequency: a quarter of the width of a peak with 2 % damping
-_LOSSLESS = 1.5  # of the damping ratio that is assumed: three quarters of the loss, at most, may not be there
-_ABOVE = 1.5  # times the first mode: below, it would ring with the wing
+_LOWEST_HZ, _HIGHEST_HZ = 8.0, 80.0  # chosen: from above a slow wing's first mode to what a sampled wing still shakes
+_APART = 0.01  # of a frequency: a quarter of the width of a peak with 2 % damping (choice)
+_LOSSLESS = 1.5  # of the damping ratio that is assumed: three quarters of the loss, at most, may not be there (choice)
+_ABOVE = 1.5  # times the first mode: below, it would ring with the wing (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.wing.effect import Effect, Group, ModalMotion, on_halves, parameter
 from companion.records import Floats
 
-_ROUNDED_MPS = 0.005
+_ROUNDED_MPS = 0.005  # chosen: small beside a ringing tip's speed, wide enough for the steps of the integrators
 
 
 @dataclass(frozen=True, slots=True)

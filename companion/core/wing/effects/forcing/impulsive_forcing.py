@@ -10,8 +10,8 @@ import numpy as np
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
 from companion.records import Floats
 
-WIDTH_S = 0.005
-_NARROWEST_S = 5e-4  # shorter pulses are alike for a wing
+WIDTH_S = 0.005  # chosen: a tenth of the period at 20 Hz, so that the pulse's shape matters little to a wing
+_NARROWEST_S = 5e-4  # shorter pulses are alike for a wing (choice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from companion.core.wing.effect import Effect, Group, parameter
 from companion.core.wing.structure import Structure, with_mode
 from companion.params.airframe import Airframe, Mode, Uncertain
 
-_SLOPE_RATIO = 3.4  # tip slope per tip deflection, a uniform cantilever's second mode against its first
+_SLOPE_RATIO = 3.4  # tip slope per tip deflection, a uniform cantilever's second mode against its first (derived)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ from companion.core.wing.samples import CERTAIN, SampleDefect, evenly_stamped, s
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
-_LOST = 0.005  # share of samples
-_LONGEST_LOSS = 10.0  # samples
-_WANDERING = 0.15  # of a period
-_FINE = 0.8  # of all values are distinct where none is rounded
-_SHARED = 0.1  # of the stamps
-_MEAN_OF = 65  # stamps
+_LOST = 0.005  # chosen: share of samples: fewer leave a wing's motion whole
+_LONGEST_LOSS = 10.0  # chosen: samples; a longer loss is a gap, which is told elsewhere
+_WANDERING = 0.15  # chosen: of a period: a smaller jitter blurs no mode
+_FINE = 0.8  # of all values are distinct where none is rounded (choice)
+_SHARED = 0.1  # chosen: of the stamps: so many shared ones are a coarse clock, not lost samples
+_MEAN_OF = 65  # chosen: stamps of the running mean: many beside jitter, few beside a clock's drift
 
 
 @dataclass(frozen=True, slots=True)
