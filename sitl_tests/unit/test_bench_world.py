@@ -14,6 +14,7 @@ from companion.params.files import load_airframe
 from companion.records import ClockName, MatchSet
 from companion.units import GRAVITY_MPS2
 from tools.bench.world import Pooled, missed, pooled, show, summary
+from tools.bench.world_constants import constants_table
 from tools.bench.world_flight import fly
 from tools.bench.world_peers import pair_alone, tilt_filter
 from tools.bench.world_rows import ACCIDENTS, ON_GROUND, CampaignRow, rows
@@ -25,7 +26,12 @@ PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]
 
 def part(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
     flight = {"columns": COLUMNS + PEER_COLUMNS, "judged": [[*shot, 0.0, 0.0, 0.0] for shot in judged], "withheld": {}}
-    return flight | {"seed": 1, "refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0} | changes
+    return (
+        flight
+        | {"seed": 1, "refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0}
+        | {"constants": {}}
+        | changes
+    )
 
 
 def shot(t_s: float, range_m: float = 60.0, toe: float = 0.0, trusted: float = 1.0) -> list[float]:
@@ -130,6 +136,18 @@ def test_a_toe_noisier_than_its_reference_allows_is_a_miss() -> None:
         assert failures == int(expected)
         assert ("reference" in text.splitlines()[1]) is expected
         assert f" {over:.2f} " in text.split("above 0.5 Hz")[1]
+
+
+def test_a_constant_is_to_be_within_three_sigmas_in_nearly_every_flight() -> None:
+    """Both tips are one constant; 97 of 100 are too few, 98 suffice."""
+    for beyond, expected in ((2, False), (3, True)):
+        over = [5.0] * beyond + [-1.0] * (50 - beyond)
+        flights = [("fair", {"left.kz": [0.01 + z * 0.001, 0.001, 0.01], "right.kz": [0.0, 1.0, 1.0]}) for z in over]
+        lines, failures = constants_table(flights)
+        assert failures == int(expected)
+        mean = (5.0 * beyond - (50 - beyond) - 50) / 100
+        assert lines[1].split()[:3] == ["tip.kz", "100", f"{mean:.2f}"]
+        assert lines[1].endswith("missed") is expected
 
 
 @pytest.mark.slow

@@ -122,7 +122,7 @@ def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
         np.concatenate(aloft),
         np.concatenate(airborne_s),
         sum((Counter(flown["withheld"]) + Counter(flown["refused"]) for flown in parts), Counter()),
-        tuple(flown.get("constants", {}) for flown in parts),
+        tuple(flown["constants"] for flown in parts),
     )
 
 
