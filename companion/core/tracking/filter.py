@@ -116,16 +116,15 @@ class SeparatedBiasFilter:
         self._estimated = np.setdiff1d(self._estimated, considered)
 
     def _consider_scales(self, tips: tuple[bool, bool]) -> None:
-        """Consider the scales of these tips, and the slopes of the second modes, which are as high as vibration.
+        """Consider the scales of these tips, and the slopes of the second modes, whose band vibration shares.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small.
         """
-        names = [
-            f"{place}.{scale}" for place, tip in zip(("left", "right"), tips, strict=True) if tip for scale in _SCALES
-        ]
+        places = [place for place, considered in zip(("left", "right"), tips, strict=True) if considered]
         seconds = [f"slope.{name}" for family in self.layout.families for name in family.names[1:]]
-        self._consider([*names, *seconds] if names else [])
+        scales = [f"{place}.{scale}" for place in places for scale in _SCALES]
+        self._consider([*scales, *seconds] if places else [])
 
     def reset_bias_parameters(self, names: Collection[str]) -> None:
         """Return bias parameters to their priors: from here on they are others.

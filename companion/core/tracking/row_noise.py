@@ -33,9 +33,7 @@ _CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
 _MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others shows where it is large
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
-_SHAKEN_RATIO = (
-    1.5  # chosen: sensors as believed come out at 1.01 at most, broadband vibration at 4 to 40 (bench world)
-)
+_SHAKEN_RATIO = 1.5  # chosen: 1.01 at most by sensors as believed, 4 to 40 by broadband vibration (bench world)
 _LEARNED = range(Y_LEFT, ROWS)  # rows
 
 _terms = kernel("noise_terms", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
