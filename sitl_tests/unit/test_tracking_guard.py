@@ -128,12 +128,14 @@ def _taught(sends: str, shaken: bool) -> dict[str, float]:
     left, right = (dataclasses.replace(tip, sends=sends) for tip in (base.left, base.right))
     tracker = WingTracker(dataclasses.replace(base, left=left, right=right), Settings())
     kalman, noise = tracker._kalman, tracker._row_noise
-    noise.variance[P_LEFT] *= 10.0 if shaken else 1.0
-    kalman.take_noise(noise)
     sigma = np.concatenate([[1.0], kalman.layout.bias_parameter_sigma])
-    kalman._filter_state.information[:] = np.diag(sigma**-2.0)
+    coupled = 0.5 * (np.eye(len(sigma)) + 1.0)  # of each with every other
+    kalman._filter_state.information[:] = 30.0 * coupled / np.outer(sigma, sigma)
     kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = -1.0 / sigma[1:]
     kalman.reset_bias_parameters([])
+    noise.variance[P_LEFT] *= 10.0 if shaken else 1.0
+    kalman.take_noise(noise)
+    assert np.linalg.eigvalsh(kalman.bias_parameter_covariance).min() > 0.0
     return {name: estimate for name, (estimate, _) in tracker.bias_parameters().items()}
 
 

@@ -70,7 +70,7 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
-        self._estimated, self._considered = np.arange(c), np.arange(0)
+        self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
         self._consider(_CONSIDERED)
         self._consider_scales(layout.mute_tips)
         wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
@@ -111,9 +111,11 @@ class SeparatedBiasFilter:
 
     def _consider(self, names: Collection[str]) -> None:
         """Leave bias parameters at their priors from here on, and what is not known of them in the covariance."""
-        considered = [at for at, name in enumerate(self.layout.bias_parameters) if name in names]
-        self._considered = np.union1d(self._considered, considered).astype(np.int64)
-        self._estimated = np.setdiff1d(self._estimated, considered)
+        new = np.array([at for at in self._estimated if self.layout.bias_parameters[at] in names], np.int64)
+        self._considered = np.union1d(self._considered, new)
+        self._estimated = np.setdiff1d(self._estimated, new)
+        self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
+        self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
     def _consider_scales(self, tips: tuple[bool, bool]) -> None:
         """Consider the scales of these tips, and the slopes of the second modes, whose band vibration shares.
@@ -221,7 +223,10 @@ class SeparatedBiasFilter:
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
+        before = len(self._considered)
         self._consider_scales(noise.shaken)
+        if len(self._considered) > before:
+            self._solve_bias_parameters()
 
     def run(self, epochs: Epochs) -> None:
         """Filter a run of epochs."""
