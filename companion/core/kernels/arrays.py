@@ -53,8 +53,9 @@ class Epochs(NamedTuple):
     present : (n, 9) bool
         Rows that were measured.
     vertical_mps2, lateral_mps2 : (n, 2) float64
-        Sensed vertical and rigid lateral specific force at the left and right tip, lateral signed for the side. A tip's
-        slope ``psi`` adds ``-(vertical psi^2 / 2 + lateral psi)`` to its vertical row.
+        Sensed vertical and rigid lateral specific force at the left and right tip, lateral signed for the side; in the
+        vertical one the root's part is the mean of some epochs before, without this epoch's noise. A tip's slope
+        ``psi`` adds ``-(vertical psi^2 / 2 + lateral psi)`` to its vertical row.
     slope_rate_gain : (n, 2) float64
         Coefficient of a tip's slope rate in its slope row, s: slope and force change together inside the epoch.
     lateral_gain : (n, 2) float64
