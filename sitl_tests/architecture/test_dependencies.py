@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-import socket
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from sitl_tests.ports import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTIONAL = (
@@ -69,12 +70,6 @@ def test_run_starts_without_any_extra(tmp_path: Path) -> None:
     assert refusal(arguments, tmp_path) == (
         "spanwise run: OAK cameras need more than the base installation: pip install 'spanwise[oak]'"
     )
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def refusal(arguments: list[str], folder: Path) -> str:

@@ -18,7 +18,8 @@ from pymavlink import mavutil
 
 from companion.params.files import dump_airframe
 from companion.sim.vehicle.companion_stub import CompanionStub, RangeFaults
-from sitl_tests.loop.rehearsals import Script, airframe, free_port
+from sitl_tests.loop.rehearsals import Script, airframe
+from sitl_tests.ports import free_port
 
 SPEED = 3.0
 _COMPANION = 191

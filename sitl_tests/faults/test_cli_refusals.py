@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import _COMMANDS, main
+from sitl_tests.ports import free_port
 
 BAD, USAGE, STOPPED = 1, 2, 130
 RUN = ("run", "--airframe", "nadir-2m", "--connect", "udpin:127.0.0.1:0", "--for", "1")
@@ -154,9 +155,7 @@ def test_a_bad_input_is_one_sentence(
     places = {
         "{tmp}": "folder", "{missing}": "no-such", "{file}": "file", "{log}": "a.BIN", "{table}": "table",
     }  # fmt: skip
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as finder:
-        finder.bind(("127.0.0.1", 0))
-        free = finder.getsockname()[1]
+    free = free_port()
     numbers = {"{taken}": str(taken_port), "{free}": str(free)}
     given = [_filled(word, {mark: str(tmp_path / name) for mark, name in places.items()} | numbers) for word in words]
     try:

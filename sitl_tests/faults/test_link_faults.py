@@ -21,6 +21,7 @@ from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.adapters.mavlink.link.tcp import TcpServer
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.errors import LinkError
+from sitl_tests.ports import free_port
 
 S = 1_000_000_000
 
@@ -71,12 +72,6 @@ def held() -> Iterator[Held]:
 def beat(component: int, system: int = 1) -> bytes:
     """A heartbeat."""
     return bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, system, component)))
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def listening(held: Held) -> tuple[Link, int]:
@@ -171,7 +166,7 @@ def test_a_peer_that_goes_away_disturbs_nobody(held: Held) -> None:
 
 
 def test_calling_before_anybody_listens_goes_on_when_they_come(held: Held) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     link = held.link(f"udpout:127.0.0.1:{port}")
     assert link.knocks
     for _ in range(3):

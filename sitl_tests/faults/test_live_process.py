@@ -20,14 +20,9 @@ from companion.service.wiring import Service
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.live_client import LiveClient, ask, last_words
 from sitl_tests.loop.simulated_service import SimulatedService
+from sitl_tests.ports import free_port
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
-
-
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture

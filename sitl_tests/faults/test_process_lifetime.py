@@ -30,15 +30,10 @@ from companion.params.settings import Settings
 from companion.records import Health, Notice, Reject, ServiceStatus, Tick
 from companion.service.supervisor import Supervisor
 from sitl_tests.loop.ground_stations import S, TurnedClock
+from sitl_tests.ports import free_port
 
 ABOUT = About.of(load_airframe("nadir-2m"), Settings())
 STALL_S = 0.3  # for which a busy machine may stop
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Flight:

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import os
 import signal
-import socket
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from companion.params.files import dump_airframe, load_airframe
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.rehearsal.vehicle import RehearsalVehicle
 from companion.sim.vehicle.faults import Faults
+from sitl_tests.ports import free_port
 
 Script = Callable[[Sequence[str]], int]
 SPEED = 8.0
@@ -38,13 +38,6 @@ def airframe(orientation: int = 25) -> Airframe:
 @functools.cache
 def flight(orientation: int = 25, seconds: float = 3.0) -> Flight:
     return build_flight(airframe(orientation), 5, seconds)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class Stage:

@@ -21,7 +21,8 @@ from companion.params.settings import tunables
 from companion.records import ModeEstimate, ModeState, ParameterChange, Station, Validity
 from sitl_tests.loop.ground_stations import COMPANION, STEP, SYSTEM, Air, S
 from sitl_tests.loop.ground_stations import Station as GroundStation
-from sitl_tests.loop.test_tour import ROOT, free_port
+from sitl_tests.loop.test_tour import ROOT
+from sitl_tests.ports import free_port
 
 pytestmark = [
     pytest.mark.realtime,

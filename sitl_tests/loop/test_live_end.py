@@ -31,14 +31,9 @@ from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Health, ServiceStatus, Side, Tick
 from sitl_tests.loop.live_client import LiveClient, ask, last_words
+from sitl_tests.ports import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextmanager
@@ -46,7 +41,7 @@ def watched(folder: Path, kind: ViewKind) -> Iterator[tuple[LiveSession, LiveCli
     """A live view as a command serves it, and a client that follows its status."""
     masks: list[int] = []
     subject = Subject(load_airframe("nadir-2m"), Settings(), "test", kind=kind, heed=masks.append)
-    config = LiveConfig("127.0.0.1", free_port(), None, folder)
+    config = LiveConfig("127.0.0.1", free_port(socket.SOCK_STREAM), None, folder)
     with live_session(config, subject) as session:
         assert session is not None
         client = LiveClient(config.port)
@@ -137,7 +132,7 @@ def replay_words(recording: Path, port: int) -> list[str]:
 
 
 def test_on_a_terminal_the_page_stays_until_ctrl_c(recording: Path) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     ours, theirs = pty.openpty()
     replay = subprocess.Popen(
         replay_words(recording, port), cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -159,7 +154,7 @@ def test_on_a_terminal_the_page_stays_until_ctrl_c(recording: Path) -> None:
 
 def test_without_a_terminal_a_replay_ends_by_itself(recording: Path) -> None:
     done = subprocess.run(
-        replay_words(recording, free_port()), cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        replay_words(recording, free_port(socket.SOCK_STREAM)), cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
         stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from companion.cli.main import main
 from companion.cli.steps import setup_wing
 from companion.records import Station
 from companion.sim.rehearsal.bench import Miswiring
+from sitl_tests.ports import free_port
 
 COMMAND = ("setup", "wing", "--connect", "sim", "--airframe", "nadir-2m")
 HANDLED = ("--step", "nodes", "--step", "taps", "--step", "tilts")
@@ -110,13 +110,6 @@ def test_the_first_range_of_the_simulated_aircraft_passes(
     assert 2.0 < range_m < 150.0
     assert 0.0 < sigma_m < 0.2 * range_m
     assert "all of range pass" in said
-
-
-def free_port() -> int:
-    """Give a UDP port that nobody listens on."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def until(true: Callable[[], bool], limit_s: float) -> None:

@@ -7,7 +7,6 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
+from sitl_tests.ports import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "config" / "SETUP.md"
@@ -28,13 +28,6 @@ def tour() -> list[str]:
     section = PAGE.read_text().partition("## A tour without hardware")[2].partition("\n## ")[0]
     block = section.split("```")[1]
     return [line.partition("#")[0].strip() for line in block.splitlines() if line.strip()]
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def words(command: str) -> list[str]:

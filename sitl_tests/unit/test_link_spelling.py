@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,6 +12,7 @@ from companion.errors import LinkError
 from companion.params.links import LinkAddress, LinkKind, parse_link
 from companion.sim.vehicle.world import VehicleLink as VehicleLink
 from mission_scripts.common.options import parser_for
+from sitl_tests.ports import free_port
 
 
 @pytest.mark.parametrize(
@@ -52,9 +51,7 @@ def test_a_wrong_spelling_names_what_was_written(spelling: str) -> None:
 
 
 def test_the_service_and_the_simulated_vehicle_meet_over_mavsdks_spelling() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     link, vehicle = open_link(f"udpin://127.0.0.1:{port}", MonotonicClock()), VehicleLink(f"udpout://127.0.0.1:{port}")
     try:
         vehicle.send([b"hello"])
