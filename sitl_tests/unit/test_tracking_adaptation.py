@@ -172,11 +172,11 @@ def test_a_drift_is_followed_beyond_what_was_believed_possible() -> None:
 
 
 def test_a_line_that_was_in_the_samples_until_now_does_not_pass_for_the_gust() -> None:
-    """Its end inside the history leaks over tens of hertz; a history that begins behind it has nothing of it."""
+    """Its end inside the history leaks over tens of hertz: it passes for noise, and a history may begin behind it."""
     seconds, until_s = 22.0, 12.4
     clean = _epochs(seconds, corners_hz=(2.0, 8.0))
     t_s = STEP_S * np.arange(clean.length)
-    line = np.where((t_s > 10.0) & (t_s < until_s), 3.0 * np.cos(2.0 * math.pi * 80.0 * t_s), 0.0)
+    line = np.where((t_s > 10.0) & (t_s < until_s), 3.0 * np.cos(2.0 * math.pi * 30.0 * t_s), 0.0)
     rows = clean.rows.copy()
     rows[:, :2] += line[:, None]
     shaken = Epochs(*(rows if name == "rows" else getattr(clean, name) for name in Epochs._fields))
@@ -189,6 +189,6 @@ def test_a_line_that_was_in_the_samples_until_now_does_not_pass_for_the_gust() -
     _fed(leaked, shaken)
     slow_hz = np.array([1.0, 3.0])
     expected = _load_density(quiet, slow_hz)
-    # ten seconds have seven bins in the octave at 1 Hz, which tell its density to 40 %; a leak takes nine tenths of it
-    np.testing.assert_allclose(np.log(_load_density(begun, slow_hz) / expected), 0.0, atol=math.log(2.0))
-    assert _load_density(leaked, slow_hz)[0] < expected[0] / 4.0
+    # ten seconds have seven bins in the octave at 1 Hz, which tell its density to 40 %
+    for disturbed in (begun, leaked):
+        np.testing.assert_allclose(np.log(_load_density(disturbed, slow_hz) / expected), 0.0, atol=math.log(2.0))

@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfilt
 
 from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum, StaticBendResponse
 from companion.core.tracking.adaptation.periodogram import make_periodogram
-from companion.core.tracking.adaptation.spectral_fit import _with_noise
+from companion.core.tracking.adaptation.spectral_fit import _NOISE_LEAPS, _with_noise
 from companion.core.tracking.adaptation.whittle import WhittleFit, fit
 from companion.core.tracking.error_jacobians import error_columns
 from companion.core.tracking.parameters import CORNER_1, CORNER_2
@@ -36,8 +36,8 @@ def _learned(seed: int, shaken_mps2: float) -> tuple[WhittleFit, WhittleFit, flo
     samples = _simulate(20.0, seed) + shaken_mps2 * shaken / shaken.std()
     periodogram, prior, ratio = make_periodogram(samples, STEP_S, BAND_HZ, BELIEVED), _prior(), 1.0
     plain = best = fit(periodogram, prior, LOGS.copy(), 12)
-    for _ in range(5):  # as many seconds
-        stages = _with_noise(_louder, ratio, periodogram, prior, best)
+    for second in range(5):
+        stages = _with_noise(_louder, ratio, _NOISE_LEAPS[second % 3], periodogram, prior, best)
         while True:
             try:
                 next(stages)

@@ -30,7 +30,12 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # first-order processes
+# chosen, relative sigma of a bend per g that is considered as well: manoeuvres measured it better than a flight's gusts
+# do, and where the load factor hardly changes, its noise would draw the estimate
+_CALIBRATED_BEND = 0.05
+# First-order processes. So are the slope factors of further modes: a deflection at their frequencies is never theirs
+# alone, and as constants they came out 4 sigma off in quiet air.
+_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)
 
 
 class SeparatedBiasFilter:
@@ -70,11 +75,13 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
+        wandering = [layout.column(name) for name in (*_WANDERING, *self._slopes(first=1))]
+        self._wandering = np.array([column for column in wandering if column is not None], np.int64)
         self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
         self._consider(_CONSIDERED)
+        if self._bend_is_calibrated():
+            self._consider(["bend_per_g"])
         self._consider_scales(layout.mute_tips)
-        wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
-        self._wandering = np.array(wandering, np.int64)
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
         self._steps_since_solution = self.steps = 0
@@ -114,19 +121,30 @@ class SeparatedBiasFilter:
         new = np.array([at for at in self._estimated if self.layout.bias_parameters[at] in names], np.int64)
         self._considered = np.union1d(self._considered, new)
         self._estimated = np.setdiff1d(self._estimated, new)
+        self._wandering = np.setdiff1d(self._wandering, new + 1)  # columns
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
     def _consider_scales(self, tips: tuple[bool, bool]) -> None:
-        """Consider the scales of these tips, and the slopes of the second modes, whose band vibration shares.
+        """Consider the scales of these tips, and the slope factors of all modes.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small.
         """
         places = [place for place, considered in zip(("left", "right"), tips, strict=True) if considered]
-        seconds = [f"slope.{name}" for family in self.layout.families for name in family.names[1:]]
         scales = [f"{place}.{scale}" for place in places for scale in _SCALES]
-        self._consider([*scales, *seconds] if places else [])
+        self._consider([*scales, *self._slopes()] if places else [])
+
+    def _slopes(self, first: int = 0) -> list[str]:
+        """Names of the slope factors of each family's modes from the ``first`` on."""
+        return [f"slope.{name}" for family in self.layout.families for name in family.names[first:]]
+
+    def _bend_is_calibrated(self) -> bool:
+        """Whether the airframe knows the bend per g to a few per cent."""
+        column = self._bend_column
+        return column is not None and bool(
+            self.layout.bias_parameter_sigma[column - 1] < _CALIBRATED_BEND * abs(self._bend_per_g_m)
+        )
 
     def reset_bias_parameters(self, names: Collection[str]) -> None:
         """Return bias parameters to their priors: from here on they are others.

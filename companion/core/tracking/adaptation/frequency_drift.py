@@ -69,6 +69,9 @@ def estimate_drift_rate(
 ) -> tuple[float, float]:
     """One scoring step from a drift rate to the most probable one, shrunk by the probability that there is a drift.
 
+    The first modes must tell it alone and together with further ones, and the smaller rate counts: an engine that
+    passes for a further mode changes its speed, and a line that passes for a first one is switched.
+
     Parameters
     ----------
     segments : list of Periodogram
@@ -91,13 +94,29 @@ def estimate_drift_rate(
     """
     if _rings_on(log_params[prior.places.first] + log_params[prior.places.first + DAMPING], spacing_s):
         return 0.0, 0.0
+    first = np.zeros(len(log_params))
+    first[prior.places.first] = 1.0
+    rates = [
+        _stepped(segments, spacing_s, prior, log_params, rate_per_s, of) for of in (first, frequency_mask(prior.places))
+    ]
+    return min(rates, key=lambda rate_and_sigma: abs(rate_and_sigma[0]))
+
+
+def _stepped(
+    segments: list[Periodogram],
+    spacing_s: float,
+    prior: LogNormalPrior,
+    log_params: Floats,
+    rate_per_s: float,
+    drifting: Floats,
+) -> tuple[float, float]:
+    """Rate and sigma by a scoring step, where those of the parameters (p,) drift at which ``drifting`` is 1."""
     size = len(log_params)
     flat_prior = prior._replace(sigma=np.full(size, np.inf))
     gradient, information = np.zeros(size + 1), np.zeros((size + 1, size + 1))
     jacobian = np.eye(size + 1)[:, :size]  # of a segment's parameters by those of the middle and the rate, transposed
-    mask = frequency_mask(prior.places)
     for number, segment in enumerate(segments):
-        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * mask
+        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * drifting
         segment_gradient, segment_information = gradient_and_fisher(
             segment, flat_prior, log_params + rate_per_s * jacobian[size]
         )

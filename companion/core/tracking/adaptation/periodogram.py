@@ -56,6 +56,10 @@ class Periodogram(NamedTuple):
         """The same power (n,) beside another density of noise, which is given frequencies (m,), Hz."""
         return self._replace(noise_density=noise_density(np.sqrt(self.grid.exact.square)))
 
+    def below(self, frequency_hz: float) -> Periodogram:
+        """The same power (n,), whose bins above a frequency count for nothing."""
+        return self._replace(weight=np.where(self.frequency_hz < frequency_hz, self.weight, 0.0))
+
 
 def make_periodogram(
     samples: Floats, step_s: float, band_hz: tuple[float, float, float], noise_density: Callable[[Floats], Floats]

@@ -20,12 +20,13 @@ from companion.core.tracking.adaptation.frequency_drift import (
     to_segment_end,
     to_warped_time,
 )
-from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum
+from companion.core.tracking.adaptation.noise_psd import VIBRATION_HZ, NoiseSpectrum
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
 from companion.core.tracking.adaptation.slow_load import slow_corner_hz
 from companion.core.tracking.adaptation.whittle import (
     LogNormalPrior,
     WhittleFit,
+    expected_power,
     find_unmodelled_peak,
     fit,
     neg_log_likelihood,
@@ -43,7 +44,7 @@ from companion.core.tracking.parameters import (
     parameter_limits,
 )
 from companion.core.tracking.spread_work import Stages
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 SEGMENT_S = 4.0  # chosen: short, so that a drifting peak is hardly broadened
 EARLY_S = 10.0  # chosen: until then the filter starts again with new parameters
@@ -54,9 +55,15 @@ _PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
 _MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
 _NOISE_STEPS = (8.0, 2.0, 0.5)  # chosen, of density: noise many times the belief shows where twice it does not
+# chosen, in turns, of the density in the upper half of the band: between a quiet sensor under a white gust and a shaken
+# sensor under a usual one nothing fits, so that steps do not lead from one to the other
+_NOISE_LEAPS = (1.0, 0.25, 4.0)
+_USUAL_CORNERS_HZ = (2.0, 8.0)  # chosen: of the gust beside which such noise is tried
 _NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
 _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
+_MODES_REACH = 1.7  # chosen, of the highest frequency: a further mode may lie so much higher than believed
+_CLEAR_EXCESS = 0.3  # chosen, of the expected power: a gust's tail is extrapolated no better
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
 _MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
@@ -108,6 +115,7 @@ class SpectralFit:
         self.ambiguous = False
         self.fits = 0
         self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
+        self._noise_ratios = [1.0, 1.0]  # of both families' last fits, below what the modes reach
 
     def stages(self, inputs: FitInput) -> Stages[WingParameters]:
         """Fit both families."""
@@ -125,7 +133,7 @@ class SpectralFit:
         """Parameters of one family, or of both where only one tip is present."""
         estimates = (inputs.parameters, inputs.aliasing_noise, inputs.bend_per_g_m)
         samples, believed = self._channels.channel(inputs.rows, which, inputs.single_tip or 0, *estimates)
-        noise_ratio, tips_ratio = inputs.parameters[which[0]].noise_ratio, inputs.parameters[1].noise_ratio
+        noise_ratio, tips_ratio = self._noise_ratios[which[0]], self._noise_ratios[1]
 
         def louder(ratio: float) -> NoiseSpectrum:
             return believed.louder(tips_ratio if which == (0,) else ratio, ratio)
@@ -133,18 +141,19 @@ class SpectralFit:
         noise_spectrum = louder(noise_ratio)
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([inputs.parameters[k].log_params() for k in which])
-        band = self._band(which)
+        band, reach_hz = self._band(which), self._reach_hz(which)
         length_s = len(samples) * self._step_s
         rate, rate_sigma = self._rates[which[0]]
         if inputs.elapsed_s > EARLY_S:
-            rate, rate_sigma = self._estimate_drift(samples, band, noise_spectrum, prior, start, rate)
+            segments = self._segments(samples, band, noise_spectrum, reach_hz)
+            middle = to_warped_time(start, prior.places, rate, len(segments) * SEGMENT_S)
+            rate, rate_sigma = estimate_drift_rate(segments, SEGMENT_S, prior, middle, rate)
             yield
         for k in which:
             self._rates[k] = rate, rate_sigma
-        long, start = (
-            make_periodogram(time_warped(samples, rate, self._step_s), self._step_s, band, noise_spectrum),
-            to_warped_time(start, prior.places, rate, length_s),
-        )
+        warped = time_warped(samples, rate, self._step_s)
+        long = make_periodogram(warped, self._step_s, band, noise_spectrum).below(reach_hz)
+        start = to_warped_time(start, prior.places, rate, length_s)
         yield
         best = self._begin(inputs, long, prior, start)
         yield
@@ -153,7 +162,13 @@ class SpectralFit:
             yield
         has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
         if has_turn:
-            long, best, noise_ratio = yield from _with_noise(louder, noise_ratio, long, prior, best)
+            leap = _NOISE_LEAPS[(self.fits + 1) // 2 % len(_NOISE_LEAPS)]
+            long, best, noise_ratio = yield from _with_noise(louder, noise_ratio, leap, long, prior, best)
+            for k in which:
+                self._noise_ratios[k] = noise_ratio
+            noise_ratio += _noise_beyond(louder, long, prior, best.log_params)
+        else:
+            noise_ratio = inputs.parameters[which[0]].noise_ratio
         best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
         by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
         log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
@@ -171,22 +186,14 @@ class SpectralFit:
             for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
         ]
 
-    def _estimate_drift(
-        self,
-        samples: Floats,
-        band: tuple[float, float, float],
-        noise_spectrum: NoiseSpectrum,
-        prior: LogNormalPrior,
-        start: Floats,
-        rate: float,
-    ) -> tuple[float, float]:
-        """Drift rate one scoring step on from the last one, 1/s, and its sigma."""
+    def _segments(
+        self, samples: Floats, band: tuple[float, float, float], noise_spectrum: NoiseSpectrum, reach_hz: float
+    ) -> list[Periodogram]:
+        """Periodograms of the newest short segments."""
         count = len(samples) // self._segment_epochs
         newest = samples[len(samples) - count * self._segment_epochs :].reshape(count, self._segment_epochs)
         segments = make_periodograms(newest, self._step_s, band, noise_spectrum)
-        length_s = count * SEGMENT_S
-        middle = to_warped_time(start, prior.places, rate, length_s)
-        return estimate_drift_rate(segments, SEGMENT_S, prior, middle, rate)
+        return [segment.below(reach_hz) for segment in segments]
 
     def _begin(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> WhittleFit:
         """Fit from the last optimum; in the first seconds from the best of a scan."""
@@ -236,6 +243,11 @@ class SpectralFit:
         highest = 0.48 / self._step_s
         return _MIN_FREQUENCY_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
 
+    def _reach_hz(self, which: tuple[int, ...]) -> float:
+        """Frequency above which nothing but noise is expected; of propulsion, which is not white, and is not fitted."""
+        highest = max(mode.frequency_hz for k in which for mode in self._prior[k].modes)
+        return max(_MODES_REACH * highest, 2.0 * VIBRATION_HZ)
+
     def _scanned(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
         """Start with each first frequency at the best of a scan; notes two local optima."""
         for at in prior.places.first:
@@ -266,24 +278,53 @@ def _join(families: list[ModeParameters]) -> LogNormalPrior:
 def _with_noise(
     louder: Callable[[float], NoiseSpectrum],
     ratio: float,
+    leap: float,
     periodogram: Periodogram,
     prior: LogNormalPrior,
     best: WhittleFit,
 ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
     """Periodogram, fit and ratio with other noise than that of ``ratio``, where it explains clearly more.
 
-    No sensor is taken for better than its file says.
+    ``leap`` is in ratios to what explains the upper half of the band alone. No sensor is taken for better than its file
+    says.
     """
-    for factor in _NOISE_STEPS:
-        if factor * ratio < 1.0:
+    used = periodogram.weight > 0.0
+    upper = used & (periodogram.frequency_hz > 0.5 * periodogram.frequency_hz[used][-1])
+    alone = 1.0 + _noise_ratio(louder, periodogram, upper, louder(1.0)(periodogram.frequency_hz))
+    leapt = _with_corners(best.log_params, prior.places, _USUAL_CORNERS_HZ)
+    trials = [(leap * alone, leapt, 2 * _MAX_SCORING_STEPS)]
+    trials += [(factor * ratio, best.log_params, 3) for factor in _NOISE_STEPS]
+    for tried, start, steps in trials:
+        if tried < 1.0:
             continue
-        other_periodogram = periodogram.with_noise(louder(factor * ratio))
-        other = fit(other_periodogram, prior, best.log_params, 3)
-        before, after = 0.5 * (np.log([ratio, factor * ratio]) / _NOISE_SIGMA) ** 2
+        other_periodogram = periodogram.with_noise(louder(tried))
+        other = fit(other_periodogram, prior, start, steps)
+        before, after = 0.5 * (np.log([ratio, tried]) / _NOISE_SIGMA) ** 2
         if other.neg_log_posterior + after < best.neg_log_posterior + before - _NOISE_GAIN:
-            periodogram, best, ratio = other_periodogram, other, factor * ratio
+            periodogram, best, ratio = other_periodogram, other, tried
         yield
     return periodogram, best, ratio
+
+
+def _noise_beyond(
+    louder: Callable[[float], NoiseSpectrum], periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats
+) -> float:
+    """Ratio of the believed noise that the bins which were not fitted show beyond the fit; 0 where it is little."""
+    beyond = periodogram.weight == 0.0
+    if not beyond.any():
+        return 0.0
+    expected = expected_power(periodogram, prior, log_params)
+    excess = float(np.median(periodogram.power[beyond] / expected[beyond])) - 1.0
+    return _noise_ratio(louder, periodogram, beyond, expected) if excess > _CLEAR_EXCESS else 0.0
+
+
+def _noise_ratio(
+    louder: Callable[[float], NoiseSpectrum], periodogram: Periodogram, bins: Bools, explained: Floats
+) -> float:
+    """Ratio of the believed noise that explains the rest of the power in some bins (b,); none is negative."""
+    frequency_hz = periodogram.frequency_hz[bins]
+    believed = louder(2.0)(frequency_hz) - louder(1.0)(frequency_hz)
+    return max(0.0, float(np.median((periodogram.power - explained)[bins] / believed)))
 
 
 def _with_corners(start: Floats, index: ParameterIndex, corners_hz: tuple[float, float]) -> Floats:
