@@ -64,8 +64,7 @@ class CommandTarget:
 
     def warm(self) -> None:
         for number, form in enumerate(_FORMATS):
-            for data in form.corpus():
-                self.run(bytes([number]) + data)
+            self.run(bytes([number]) + form.corpus()[0])
 
     def case(self, rng: np.random.Generator) -> bytes:
         number = int(rng.choice(len(_FORMATS), p=_SHARES))

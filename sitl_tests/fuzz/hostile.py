@@ -22,6 +22,7 @@ from sitl_tests.loop.simulated_service import GROUND_M, SimulatedService
 _ENTRY = struct.Struct("<IBH")
 _SEND, _ALTER, _DROP = range(3)
 _FLOWN_S = 14.0
+_WARM_S = 3.0  # until shots have been fired and corrected, so that everything is loaded (chosen; they begin at 2 s)
 _DROP_MS = 300
 _SENDERS = ((1, 1), (1, 1), (1, 200), (1, 201), (1, 191), (1, 100), (255, 190), (2, 1), (2, 200), (0, 0))
 _FAVOURITES = (
@@ -48,7 +49,7 @@ class FlightTarget:
         self._flights: dict[bool, Flight] = {}
 
     def warm(self) -> None:
-        self._fly(b"", px4=False, until_s=12.0)
+        self._fly(b"", px4=False, until_s=_WARM_S)
 
     def case(self, rng: np.random.Generator) -> bytes:
         entries = []

@@ -14,6 +14,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras, LockStepService
 from companion.errors import DeviceError
+from companion.evaluation import shot_scores
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio, Studios
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -26,7 +27,7 @@ from companion.sim.vehicle.world import World, WorldOptions
 from companion.sim.vision.cameras import Shutters
 
 MS = 1_000_000
-FLOWN_S = 17.0  # what is judged begins at 15 s
+JUDGED_FROM_S, FLOWN_S = 10.0, 12.0  # chosen: the wing is learned, and more than ten shots follow
 
 
 @pytest.fixture(scope="module")
@@ -187,10 +188,20 @@ def test_a_shot_is_the_same_whichever_process_makes_it_and_when(flight: Flight) 
     assert studio.shoot(Pull(9, EPOCH_NS + 60_000 * MS, EPOCH_NS + 60_100 * MS)) == [], "after the end there is no view"
 
 
+BUSY = """
+import time
+while True:
+    until_s = time.monotonic() + 0.05
+    while time.monotonic() < until_s:
+        pass
+    time.sleep(0.05)
+"""
+
+
 @contextmanager
 def busy_machine() -> Iterator[None]:
-    """Two loops that want both cores."""
-    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    """Two loops that want both cores, in bursts of 50 ms (chosen): what depends on the machine is late by turns."""
+    loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
     try:
         yield
     finally:
@@ -202,8 +213,11 @@ def busy_machine() -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_two_demos_of_one_seed_are_equal_to_the_bit_though_one_flew_on_a_busy_machine(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Judged earlier than people's demos, whose shots of the first 15 s count for nothing."""
+    monkeypatch.setattr(shot_scores, "SETTLED_S", JUDGED_FROM_S)
+
     def demo(folder: str) -> tuple[str, bytes]:
         out = tmp_path / folder
         command = ["demo", "--duration", f"{FLOWN_S:g}", "--no-compare", "--json", "--out", str(out)]

@@ -41,6 +41,7 @@ from tools.oak_calibration import main as tool
 dai = pytest.importorskip("depthai")
 SOCKETS = ("CAM_B", "CAM_C")
 BRIGHT = 20
+SEARCH_MS = "200"  # of the library's search for a device (chosen: two rounds of it)
 
 
 # ------------------------------------------------------------------------------------------------ frames and time
@@ -246,9 +247,11 @@ def test_a_device_that_cannot_listen_to_the_line_says_so() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_device_the_pair_says_so() -> None:
+def test_without_a_device_the_pair_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library looks for ten seconds of its own accord; here none is there to look for."""
     if dai.Device.getAllAvailableDevices():
         pytest.skip("a DepthAI device is connected")
+    monkeypatch.setenv("DEPTHAI_SEARCH_TIMEOUT", SEARCH_MS)
     with pytest.raises(DeviceError, match="DepthAI"):
         OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (640, 480), OakTiming())
 

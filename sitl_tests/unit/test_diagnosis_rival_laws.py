@@ -110,7 +110,10 @@ def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("hidden", "size"), [("clock-skew", 0.01), ("mount-lag", 0.0025), ("stream-delay", 0.003)])
+@pytest.mark.parametrize(
+    ("hidden", "size"),
+    [("clock-skew", 0.01), ("mount-lag", 0.0025), pytest.param("stream-delay", 0.003, marks=pytest.mark.long)],
+)
 def test_names_stand_against_their_rivals(hidden: str, size: float) -> None:
     label = hide([], (8.0, 14.0), np.random.default_rng(12))
     (tables,) = fly_all([dataclasses.replace(label, effects={hidden: size})], [20.0], 12)

@@ -17,7 +17,7 @@ def _compiled(function: Callable[..., None]) -> Callable[..., None]:
         from numba import njit
     except ModuleNotFoundError:
         return function
-    compiled: Callable[..., None] = njit(function)
+    compiled: Callable[..., None] = njit(cache=True)(function)
     return compiled
 
 

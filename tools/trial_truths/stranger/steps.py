@@ -21,7 +21,7 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         from numba import njit
     except ModuleNotFoundError:
         return function
-    compiled: Callable[..., Any] = njit(function)
+    compiled: Callable[..., Any] = njit(cache=True)(function)
     return compiled
 
 
