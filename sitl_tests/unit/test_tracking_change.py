@@ -91,13 +91,13 @@ def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_le
     kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = (
         -100.0 / sigma
     )  # each is one sigma
-    further = [name for name in LAYOUT.bias_parameters if name.startswith("slope.second_")]
-    ages = np.array([name in ("root.bp", "root.br", *further) for name in LAYOUT.bias_parameters])
+    slopes = [name for name in LAYOUT.bias_parameters if name.startswith("slope.")]
+    ages = np.array([name in ("root.bp", "root.br", *slopes) for name in LAYOUT.bias_parameters])
     # the root's errors, the tips' stamps and a bend per g that is calibrated are not learned
     names = [name for name in LAYOUT.bias_parameters if not name.startswith("root.") and not name.endswith(".tau")]
-    stays = np.array([name in {*names} - {"bend_per_g", *further} for name in LAYOUT.bias_parameters])
-    assert ages.sum() == 2 + len(further)
-    assert further
+    stays = np.array([name in {*names} - {"bend_per_g", *slopes} for name in LAYOUT.bias_parameters])
+    assert ages.sum() == 2 + len(slopes)
+    assert len(slopes) == 3
     blind = _nothing_measured(500)
     for first, last in ((0, 25), (25, 50), (50, 75), (75, 325), (325, 500)):
         kalman.run(blind.span(first, last))

@@ -33,8 +33,8 @@ _SCALES = ("kz", "ky", "kp")
 # chosen, relative sigma of a bend per g that is considered as well: manoeuvres measured it better than a flight's gusts
 # do, and where the load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
-# First-order processes. So are the slope factors of further modes: a deflection at their frequencies is never theirs
-# alone, and as constants they came out 4 sigma off in quiet air.
+# First-order processes. So are the slope factors: a wing's bend is never that of its named modes alone, and as constants
+# they came out 3 and 4 sigma off in quiet air.
 _WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)
 
 
@@ -75,7 +75,7 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
-        wandering = [layout.column(name) for name in (*_WANDERING, *self._slopes(first=1))]
+        wandering = [layout.column(name) for name in (*_WANDERING, *self._slopes())]
         self._wandering = np.array([column for column in wandering if column is not None], np.int64)
         self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
         self._consider(_CONSIDERED)
@@ -135,9 +135,9 @@ class SeparatedBiasFilter:
         scales = [f"{place}.{scale}" for place in places for scale in _SCALES]
         self._consider([*scales, *self._slopes()] if places else [])
 
-    def _slopes(self, first: int = 0) -> list[str]:
-        """Names of the slope factors of each family's modes from the ``first`` on."""
-        return [f"slope.{name}" for family in self.layout.families for name in family.names[first:]]
+    def _slopes(self) -> list[str]:
+        """Names of the slope factors."""
+        return [f"slope.{name}" for family in self.layout.families for name in family.names]
 
     def _bend_is_calibrated(self) -> bool:
         """Whether the airframe knows the bend per g to a few per cent."""
