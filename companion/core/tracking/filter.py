@@ -33,7 +33,7 @@ _SCALES = ("kz", "ky", "kp")
 # chosen, relative sigma of a bend per g that is considered as well: manoeuvres measured it better than a flight's gusts
 # do, and where the load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
-# First-order processes. So are the slope factors: a wing's bend is never that of its named modes alone, and as constants
+# First-order processes. So are the slope factors: a wing's bend is never that of its named modes alone: as constants
 # they came out 3 and 4 sigma off in quiet air.
 _WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)
 
