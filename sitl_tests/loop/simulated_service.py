@@ -28,7 +28,7 @@ from companion.sim.flight.flight import Flight
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
 from companion.sim.vehicle.world import World, WorldOptions
-from sitl_tests.unit.stereo_cases import ground_below, seen
+from sitl_tests.unit.stereo_cases import ground_below, raw_pixels
 
 GROUND_M = 40.0
 MS = 1_000_000
@@ -77,7 +77,7 @@ class Cameras:
         truth = self.flight.truth.at(middle_ns - EPOCH_NS)
         points = ground_below(GROUND_M, 60, seed=self.made)
         slope, lift = tuple(truth.slope_rad.tolist()), tuple(truth.lift_m.tolist())
-        left_px, right_px = seen(self._rig, points, slope, lift)
+        left_px, right_px = raw_pixels(self._rig, points, slope, lift)
         noise = 0.05 * np.random.default_rng(self.made).standard_normal((2, len(points), 2))
         return MatchSet(
             pair_id=self.made,

@@ -15,7 +15,7 @@ from sitl_tests.unit.stereo_cases import (
     match_set,
     nadir,
     perfect_calibration,
-    seen,
+    raw_pixels,
     wall_ahead,
 )
 
@@ -30,7 +30,7 @@ def test_divergence_makes_the_rigid_range_short_and_the_correction_takes_it_out(
     """1/Z' = 1/Z + theta/B: 4.5 mrad of relative toe turns 60 m into 52.8 m."""
     airframe = nadir()
     rig = Rig.from_airframe(airframe)
-    matches = match_set(*seen(rig, ground_below(60.0, 300, 1, spread=NARROW), (0.00225, 0.00225)))
+    matches = match_set(*raw_pixels(rig, ground_below(60.0, 300, 1, spread=NARROW), (0.00225, 0.00225)))
     deflection = bend((0.00225, 0.00225))
     answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS).range
     assert answer.range_m == pytest.approx(60.0, abs=1e-6)
@@ -44,7 +44,7 @@ def test_trim_bend_makes_the_rigid_range_nonsense_and_convergence_makes_it_infin
     rig = Rig.from_airframe(airframe)
     for theta, expected in ((0.0414, 60.0 / (1.0 + 60.0 * 0.0414 / BASELINE)), (-0.0414, 0.0)):
         slopes = (theta / 2.0, theta / 2.0)
-        matches = match_set(*seen(rig, ground_below(60.0, 300, 2, spread=NARROW), slopes))
+        matches = match_set(*raw_pixels(rig, ground_below(60.0, 300, 2, spread=NARROW), slopes))
         answer = correct(matches, bend(slopes), bend(slopes), rig, airframe, SETTINGS).range
         assert answer.range_m == pytest.approx(60.0, abs=1e-6)
         assert answer.rigid_range_m == pytest.approx(expected, rel=0.01)
@@ -55,7 +55,7 @@ def test_sigma_of_one_match_and_of_one_milliradian(range_m: float, sigma_one_m: 
     """sigma_Z^2 = (Z^2 / (f B) sigma_d)^2 + (Z^2 / B sigma_theta)^2."""
     airframe = nadir(**PERFECT)
     rig = Rig.from_airframe(airframe)
-    matches = match_set(*seen(rig, ground_below(range_m, 400, 3, spread=NARROW), (0.0, 0.0)), sigma_px=0.2)
+    matches = match_set(*raw_pixels(rig, ground_below(range_m, 400, 3, spread=NARROW), (0.0, 0.0)), sigma_px=0.2)
     one = 1e-3 / np.sqrt(2.0)  # two independent tips make 1 mrad of relative toe
     answer = correct(
         matches, bend(slope_sigma_rad=one), bend(slope_sigma_rad=one), rig, airframe, SETTINGS, PairConditions(0.0)
@@ -68,7 +68,7 @@ def test_sigma_of_one_match_and_of_one_milliradian(range_m: float, sigma_one_m: 
 def test_antisymmetric_uncertainty_costs_a_nadir_pair_nothing() -> None:
     airframe = nadir(**PERFECT)
     rig = Rig.from_airframe(airframe)
-    matches = match_set(*seen(rig, ground_below(60.0, 2000, 4, spread=NARROW), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(rig, ground_below(60.0, 2000, 4, spread=NARROW), (0.0, 0.0)))
     for correlation, expected in ((1.0, 2.0), (-1.0, 0.0)):
         deflection = bend(slope_sigma_rad=0.001, correlation=correlation)
         answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(0.0))
@@ -80,7 +80,7 @@ def test_bend_uncertainty_hardly_touches_a_forward_pair() -> None:
     """Roll leaves the middle of the image alone: the same 1 mrad that costs a nadir pair 1.8 m costs it centimetres."""
     airframe = forward(**PERFECT)
     rig = Rig.from_airframe(airframe)
-    matches = match_set(*seen(rig, wall_ahead(60.0, 400, 5), (0.02, 0.02)))
+    matches = match_set(*raw_pixels(rig, wall_ahead(60.0, 400, 5), (0.02, 0.02)))
     deflection = bend((0.02, 0.02), slope_sigma_rad=1e-3 / np.sqrt(2.0))
     answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(0.0))
     assert answer.range.range_m == pytest.approx(60.0, abs=1e-4)
@@ -94,7 +94,7 @@ def test_bending_left_uncorrected_in_a_forward_pair_tilts_depth_from_row_to_row(
     rig = Rig.from_airframe(airframe)
     rows = np.array([-240.0, 240.0]) / FOCAL
     points = np.column_stack([np.full(2, 60.0), np.zeros(2), 60.0 * rows])
-    matches = match_set(*seen(rig, points, (0.00225, 0.00225)))
+    matches = match_set(*raw_pixels(rig, points, (0.00225, 0.00225)))
     answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     error_px = (answer.depths.inverse_pm - 1.0 / 60.0) * FOCAL * BASELINE
     np.testing.assert_allclose(error_px, [-1.08, 1.08], atol=0.01)
@@ -105,7 +105,7 @@ def test_bending_left_uncorrected_in_a_forward_pair_shows_as_vertical_parallax()
     airframe = forward(**PERFECT)
     rig = Rig.from_airframe(airframe)
     points = 1.0e4 * np.column_stack([np.ones(2), np.array([-0.4, 0.4]), np.zeros(2)])
-    matches = match_set(*seen(rig, points, (0.00225, 0.00225)))
+    matches = match_set(*raw_pixels(rig, points, (0.00225, 0.00225)))
     answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     np.testing.assert_allclose(answer.depths.parallax_rad * FOCAL, [1.44, -1.44], atol=0.01)
 
@@ -113,7 +113,7 @@ def test_bending_left_uncorrected_in_a_forward_pair_shows_as_vertical_parallax()
 def test_calibration_sigma_is_root_two_times_one_camera_for_toe() -> None:
     airframe = nadir(**perfect_calibration(rotation_sigma_rad=1e-3))
     rig = Rig.from_airframe(airframe)
-    matches = match_set(*seen(rig, ground_below(60.0, 2000, 6, spread=NARROW), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(rig, ground_below(60.0, 2000, 6, spread=NARROW), (0.0, 0.0)))
     answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     assert answer.range.toe_sigma_rad == pytest.approx(np.sqrt(2.0) * 1e-3, rel=1e-6)
     assert answer.causes_m.calibration == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 1e-3, rel=0.02)
@@ -125,7 +125,7 @@ def test_timing_sigma_counts_with_the_rate_of_the_bend() -> None:
     rig = Rig.from_airframe(airframe)
     rate_radps = 0.0045 * 2.0 * np.pi * 5.0
     deflection = bend(qdot_mps=(rate_radps / 1.39, 0.0))
-    matches = match_set(*seen(rig, ground_below(60.0, 400, 7, spread=NARROW), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(rig, ground_below(60.0, 400, 7, spread=NARROW), (0.0, 0.0)))
     answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(1e-3))
     assert answer.range.toe_sigma_rad == pytest.approx(np.sqrt(2.0) * 141e-6, rel=0.01)
     assert answer.causes_m.timing == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 141e-6, rel=0.02)
@@ -136,7 +136,7 @@ def test_toe_counts_more_off_the_axis() -> None:
     airframe = nadir(**PERFECT)
     rig = Rig.from_airframe(airframe)
     points = 1.0e4 * np.array([[0.0, 0.0, 1.0], [0.0, 0.3, 1.0], [0.0, -0.3, 1.0]])
-    matches = match_set(*seen(rig, points, (0.0005, 0.0005)))
+    matches = match_set(*raw_pixels(rig, points, (0.0005, 0.0005)))
     inverse = (
         correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0)).depths.inverse_pm * BASELINE
     )

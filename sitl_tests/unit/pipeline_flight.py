@@ -17,7 +17,7 @@ from companion.params.settings import Settings
 from companion.records import ClockName, ImuBatch, MatchSet, Record, Tick
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
-from sitl_tests.unit.stereo_cases import ground_below, seen
+from sitl_tests.unit.stereo_cases import ground_below, raw_pixels
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -68,7 +68,7 @@ def shots(flown: Flight) -> Iterator[MatchSet]:
         truth = flown.truth.at(boot_ns)
         points = ground_below(GROUND_M, 60, seed=number)
         slope, lift = tuple(truth.slope_rad.tolist()), tuple(truth.lift_m.tolist())
-        left_px, right_px = seen(rig, points, slope, lift)
+        left_px, right_px = raw_pixels(rig, points, slope, lift)
         noise = 0.05 * np.random.default_rng(number).standard_normal((2, len(points), 2))
         yield MatchSet(
             pair_id=number,

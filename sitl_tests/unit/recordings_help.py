@@ -84,21 +84,21 @@ def _array(dtype: np.dtype[Any], shape: tuple[int, ...]) -> st.SearchStrategy[An
     return arrays.arrays(dtype, shape)
 
 
-def assert_equal(one: Any, other: Any) -> None:
+def assert_equal(first: Any, other: Any) -> None:
     """Same class, same values, arrays bit for bit."""
-    assert type(one) is type(other)
-    if dataclasses.is_dataclass(one):
-        for entry in dataclasses.fields(one):
-            assert_equal(getattr(one, entry.name), getattr(other, entry.name))
-    elif isinstance(one, np.ndarray):
-        assert one.dtype == other.dtype
-        assert one.shape == other.shape
-        assert one.tobytes() == other.tobytes()
-    elif isinstance(one, tuple):
-        assert len(one) == len(other)
-        for left, right in zip(one, other, strict=True):
+    assert type(first) is type(other)
+    if dataclasses.is_dataclass(first):
+        for entry in dataclasses.fields(first):
+            assert_equal(getattr(first, entry.name), getattr(other, entry.name))
+    elif isinstance(first, np.ndarray):
+        assert first.dtype == other.dtype
+        assert first.shape == other.shape
+        assert first.tobytes() == other.tobytes()
+    elif isinstance(first, tuple):
+        assert len(first) == len(other)
+        for left, right in zip(first, other, strict=True):
             assert_equal(left, right)
-    elif isinstance(one, float):
-        assert np.float64(one).tobytes() == np.float64(other).tobytes()
+    elif isinstance(first, float):
+        assert np.float64(first).tobytes() == np.float64(other).tobytes()
     else:
-        assert one == other
+        assert first == other

@@ -46,7 +46,7 @@ def fake_board(root: Path, kind: str) -> Path:
 
 def snapshot(root: Path) -> dict[str, tuple[int, bytes | str]]:
     """Everything below a folder: kind and permissions, and what it holds."""
-    found: dict[str, tuple[int, bytes | str]] = {}
+    entries: dict[str, tuple[int, bytes | str]] = {}
     for path in sorted(root.rglob("*")):
         mode = path.lstat().st_mode
         content: bytes | str = ""
@@ -54,5 +54,5 @@ def snapshot(root: Path) -> dict[str, tuple[int, bytes | str]]:
             content = str(path.readlink())
         elif stat.S_ISREG(mode):
             content = path.read_bytes()
-        found[str(path.relative_to(root))] = (mode, content)
-    return found
+        entries[str(path.relative_to(root))] = (mode, content)
+    return entries

@@ -54,7 +54,7 @@ def bend(
     )
 
 
-def seen(
+def raw_pixels(
     rig: Rig, points_m: np.ndarray, slope_rad: tuple[float, float], lift_m: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Exact raw pixels of points by both cameras of a bent wing."""
@@ -92,7 +92,7 @@ def ground_below(
 ) -> np.ndarray:
     """Points on the plane z = range + tilt . (x, y) under the aircraft; the spread fills the common field of view."""
     random = np.random.default_rng(seed)
-    x, y = (random.uniform(-share * spread, share * spread, count) * range_m for share in (0.9, 1.0))
+    x, y = (random.uniform(-fraction * spread, fraction * spread, count) * range_m for fraction in (0.9, 1.0))
     return np.column_stack([x, y, range_m + tilt[0] * x + tilt[1] * y])
 
 

@@ -73,7 +73,7 @@ def batch(t_ns: np.ndarray, accel: Floats | float = 0.0, gyro: Floats | float = 
     return ImuBatch(Station.ROOT, ClockName.BOOT, t_ns, values, Axis.ALL, int(t_ns[-1]))
 
 
-def told(state: PipelineState, name: str, value: float) -> list[Any]:
+def set_parameter(state: PipelineState, name: str, value: float) -> list[Any]:
     return step(state, AutopilotParameter(name, value, 1))[1]
 
 
@@ -81,9 +81,9 @@ def told(state: PipelineState, name: str, value: float) -> list[Any]:
 @pytest.mark.parametrize("frequency_hz", [3.0, 7.0, 15.0])
 def test_the_low_pass_is_undone_in_gain_and_phase_over_the_band(frequency_hz: float, cutoff_hz: float) -> None:
     state = start(load_airframe("nadir-2m"), Settings())
-    told(state, "INS_ACCEL_FILTER", 30.0)
-    told(state, "INS_ACCEL_FILTER", cutoff_hz)  # a live change
-    told(state, "INS_GYRO_FILTER", cutoff_hz)
+    set_parameter(state, "INS_ACCEL_FILTER", 30.0)
+    set_parameter(state, "INS_ACCEL_FILTER", cutoff_hz)  # a live change
+    set_parameter(state, "INS_GYRO_FILTER", cutoff_hz)
     t_ns, y = sent(frequency_hz, lambda x: lowpassed(x, cutoff_hz))
     stream = SampleBuffer(state.airframe.root)
     stream.add(batch(t_ns, y, y), -1)
@@ -92,11 +92,11 @@ def test_the_low_pass_is_undone_in_gain_and_phase_over_the_band(frequency_hz: fl
     mean = stream.average(edges).mean
     truth = np.sinc(frequency_hz * CELL_NS * 1e-9)  # what averaging over a cell leaves
     for column in (2, 3):
-        found = phasor(middle_s, mean[:, column], frequency_hz) / truth
+        response = phasor(middle_s, mean[:, column], frequency_hz) / truth
         as_sent = phasor(t_ns * 1e-9, y, frequency_hz)
-        assert abs(found) == pytest.approx(1.0, abs=0.02)
-        assert abs(np.angle(found, deg=True)) < 0.6
-        assert abs(np.angle(as_sent, deg=True)) > 5 * abs(np.angle(found, deg=True))
+        assert abs(response) == pytest.approx(1.0, abs=0.02)
+        assert abs(np.angle(response, deg=True)) < 0.6
+        assert abs(np.angle(as_sent, deg=True)) > 5 * abs(np.angle(response, deg=True))
 
 
 @pytest.mark.parametrize("harmonics", [1, 3])
@@ -113,7 +113,7 @@ def test_notches_are_taken_out_of_the_rates_over_the_band(frequency_hz: float, h
 
     t_ns, y = sent(frequency_hz, filtered)
     parts = np.array_split(np.arange(len(t_ns)), 97)
-    out = np.concatenate([filters.undone(batch(t_ns[part], 1.0, y[part])).values for part in parts])
+    out = np.concatenate([filters.undone(batch(t_ns[chunk], 1.0, y[chunk])).values for chunk in parts])
     late = t_ns > 1_000_000_000
     before, after = (phasor(t_ns[late] * 1e-9, x[late], frequency_hz) for x in (y, out[:, 3]))
     assert abs(np.angle(after)) < 0.1 * abs(np.angle(before))
@@ -147,9 +147,9 @@ def test_a_gap_or_a_restart_gives_no_false_slope() -> None:
 def test_px4_stamps_the_end_of_its_mean_and_filters_nothing_that_it_sends() -> None:
     state = start(load_airframe("nadir-2m"), Settings())
     before = state.airframe
-    assert told(state, "IMU_ACCEL_CUTOFF", 30.0) == []
+    assert set_parameter(state, "IMU_ACCEL_CUTOFF", 30.0) == []
     assert state.airframe is before
-    notices = told(state, "IMU_INTEG_RATE", 200.0)
+    notices = set_parameter(state, "IMU_INTEG_RATE", 200.0)
     assert all(isinstance(notice, Notice) for notice in notices)
     assert "-2.50 ms" in notices[-1].text
     assert (before.root.lowpass_accel_hz, state.airframe.root.lowpass_accel_hz) == (20.0, 0.0), "it has no such filter"

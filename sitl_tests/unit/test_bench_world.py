@@ -24,7 +24,7 @@ COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "
 PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]
 
 
-def part(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
+def judged_flight(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
     flight = {"columns": COLUMNS + PEER_COLUMNS, "judged": [[*shot, 0.0, 0.0, 0.0] for shot in judged], "withheld": {}}
     return (
         flight
@@ -47,7 +47,7 @@ def test_wilsons_interval() -> None:
 def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
     row = CampaignRow("fair", "nadir-2m", "6-axis")
     judged = [shot(14.0), *(shot(15.0 + k) for k in range(10)), shot(25.0, trusted=0.0), shot(31.0, 70.0, 4e-4)]
-    group = pooled(row, [part(judged)])
+    group = pooled(row, [judged_flight(judged)])
     figures = summary(group)
     assert figures["shots"] == 16, "one a second from 15 to 31 s, answered or not"
     assert figures["trusted"] == pytest.approx(11 / 16)
@@ -60,7 +60,7 @@ def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
 
 def test_nothing_is_to_be_trusted_on_the_ground() -> None:
     row = CampaignRow("fair", "nadir-2m", "6-axis")
-    group = pooled(row, [part([shot(5.0), shot(16.0), shot(31.0)], lift_off_s=10.0, touch_down_s=30.0)])
+    group = pooled(row, [judged_flight([shot(5.0), shot(16.0), shot(31.0)], lift_off_s=10.0, touch_down_s=30.0)])
     figures = summary(group)
     assert figures["on_ground"] == 2
     assert "on ground" in missed(group, figures)
@@ -71,7 +71,7 @@ def test_trust_is_asked_for_from_fifteen_seconds_in_the_air_on_and_where_there_i
     early = [shot(11.0 + k, trusted=0.0) for k in range(14)]
     late = [shot(25.5 + k) for k in range(4)]
     blank = [0.0, 29.8, 0.0, 0.0, 0.0, math.nan, 0.0, 120.0, 0.0]
-    figures = summary(pooled(row, [part([*early, *late, blank], lift_off_s=10.0, touch_down_s=30.0)]))
+    figures = summary(pooled(row, [judged_flight([*early, *late, blank], lift_off_s=10.0, touch_down_s=30.0)]))
     assert figures["shots"] == 4
     assert figures["trusted"] == 1.0
 
@@ -81,7 +81,7 @@ def test_shots_whose_stamps_are_wrong_need_not_be_trusted(trusted: int, misses: 
     """With a fifth of the stamps late, nine tenths of the other four fifths are 0.72 of all."""
     late = next(accident for accident in ACCIDENTS if accident.late_share)
     judged = [shot(16.0 + k, trusted=float(k < trusted)) for k in range(10)]
-    group = pooled(CampaignRow("ideal", "nadir-2m", "6-axis", late), [part(judged, touch_down_s=25.0)])
+    group = pooled(CampaignRow("ideal", "nadir-2m", "6-axis", late), [judged_flight(judged, touch_down_s=25.0)])
     assert ("trusted" in missed(group, summary(group))) is misses
 
 
@@ -129,7 +129,7 @@ def test_a_toe_noisier_than_its_reference_allows_is_a_miss() -> None:
     assert reference in rows("fair")
 
     def group(of: CampaignRow, error_rad: float) -> Pooled:
-        return pooled(of, [part([shot(15.0 + 0.2 * k, toe=(-1) ** k * error_rad) for k in range(80)])])
+        return pooled(of, [judged_flight([shot(15.0 + 0.2 * k, toe=(-1) ** k * error_rad) for k in range(80)])])
 
     for over, expected in ((1.1, False), (1.2, True)):
         text, failures = show([group(row, over * 1e-4), group(reference, 1e-4)])

@@ -28,12 +28,12 @@ def _records(n: int, *, known_plans: bool) -> list[Record]:
 
 @pytest.mark.parametrize("known_plans", [True, False])
 def test_latency_and_its_spread_come_back(known_plans: bool) -> None:
-    found = trigger_latency(_records(400, known_plans=known_plans))
-    assert found.shots == 400
+    latency = trigger_latency(_records(400, known_plans=known_plans))
+    assert latency.shots == 400
     # the median of 400 normal deviates is off by 1.25 sigma / 20
-    assert found.median_s == pytest.approx([0.008, 0.0085], abs=4 * 0.0002 * 1.25 / 20)
-    assert found.sigma_s == pytest.approx([0.0002, 0.0002], rel=0.25)
-    assert np.all(found.p99_s > found.median_s + 1.5 * found.sigma_s)
+    assert latency.median_s == pytest.approx([0.008, 0.0085], abs=4 * 0.0002 * 1.25 / 20)
+    assert latency.sigma_s == pytest.approx([0.0002, 0.0002], rel=0.25)
+    assert np.all(latency.p99_s > latency.median_s + 1.5 * latency.sigma_s)
 
 
 def test_a_few_shots_are_too_few() -> None:

@@ -29,8 +29,8 @@ def _corners(
 ) -> Corners:
     """A board seen by an ideal camera, its middle at ``place``."""
     points = CHARUCO.points_m()
-    seen = (points - points.mean(axis=0)) @ exp_rotation(np.array(turn)).T + np.array(place)
-    pixels = FOCAL_PX * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2.0
+    camera_points = (points - points.mean(axis=0)) @ exp_rotation(np.array(turn)).T + np.array(place)
+    pixels = FOCAL_PX * camera_points[:, :2] / camera_points[:, 2:] + np.array(SIZE) / 2.0
     return Corners(np.arange(len(points)), pixels)
 
 
@@ -63,9 +63,9 @@ def test_guidance_asks_for_what_is_missing_and_falls_silent() -> None:
         assert words in said
     sides = [(x, y, 0.8) for x in (-0.25, 0.25) for y in (-0.2, 0.2)]
     tilts = [(a, 0.0, 0.0) for a in (-0.4, 0.4)] + [(0.0, a, 0.0) for a in (-0.4, 0.4)]
-    whole = [_view(turn=tilt, place=place) for tilt in tilts for place in sides] + [_view(place=(0.0, 0.0, 1.4))]
-    assert advice(whole, CHARUCO, SIZE, wanted=10) == []
-    assert advice(whole, CHARUCO, SIZE, wanted=30) == [f"{30 - len(whole)} more views"]
+    views = [_view(turn=tilt, place=place) for tilt in tilts for place in sides] + [_view(place=(0.0, 0.0, 1.4))]
+    assert advice(views, CHARUCO, SIZE, wanted=10) == []
+    assert advice(views, CHARUCO, SIZE, wanted=30) == [f"{30 - len(views)} more views"]
 
 
 def test_the_same_view_is_not_taken_twice() -> None:

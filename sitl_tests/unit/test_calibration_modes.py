@@ -65,9 +65,9 @@ def _clean() -> list[IdentifiedMode]:
 
 def test_poles_of_a_noise_free_response_are_exact() -> None:
     run = _runs()[3]
-    found = stable_poles(run.frequency_hz, run.response)
-    assert [round(pole.frequency_hz, 4) for pole in found] == [6.0, 8.5, 21.0]
-    assert [pole.damping for pole in found] == pytest.approx([0.02, 0.015, 0.01], rel=1e-3)
+    poles = stable_poles(run.frequency_hz, run.response)
+    assert [round(pole.frequency_hz, 4) for pole in poles] == [6.0, 8.5, 21.0]
+    assert [pole.damping for pole in poles] == pytest.approx([0.02, 0.015, 0.01], rel=1e-3)
 
 
 @pytest.mark.slow
@@ -151,8 +151,8 @@ def test_bend_and_gusts_are_brought_to_the_frequency_that_was_found() -> None:
     assert wing.bend_per_g_m.value == pytest.approx(base.wing.bend_per_g_m.value * slower**2, rel=1e-3)
     rms_m = base.wing.gust.deflection_rms_m
     assert wing.gust.deflection_rms_m.value == pytest.approx(rms_m.value * slower**1.5, rel=1e-3)
-    for known in (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m):
-        assert known.sigma > 0.3 * known.value
+    for belief in (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m):
+        assert belief.sigma > 0.3 * belief.value
 
 
 def test_a_line_narrower_than_the_record_resolves_is_no_bending_mode() -> None:
@@ -207,9 +207,9 @@ def test_modes_of_a_gusty_flight_lie_within_their_sigma() -> None:
     modes = ((5.0, 0.03, 1.0), (27.0, 0.02, 0.3))
     unit = []
     for seed in range(3):
-        found = ambient_modes(_gust_driven(seed, modes, 180.0)[:, np.newaxis], 200.0, (2.0, 40.0))
-        assert len(found) == 2
-        for mode, (f, zeta, _) in zip(found, modes, strict=True):
+        estimates = ambient_modes(_gust_driven(seed, modes, 180.0)[:, np.newaxis], 200.0, (2.0, 40.0))
+        assert len(estimates) == 2
+        for mode, (f, zeta, _) in zip(estimates, modes, strict=True):
             assert mode.frequency_hz == pytest.approx(f, rel=0.01)
             assert mode.damping == pytest.approx(zeta, rel=0.4)
             unit.append((mode.frequency_hz - f) / mode.frequency_sigma_hz)

@@ -30,28 +30,28 @@ def _attitudes(mounted: np.ndarray, seed: int, *, felt_rad: float, seen_rad: flo
     random = np.random.default_rng(seed)
     up, usual = np.array([0.3, -0.9, 0.2]), exp_rotation(random.normal(0.0, 1.0, 3))
     up /= np.linalg.norm(up)
-    found = []
+    attitudes = []
     for k in range(n):
         section_from_board = exp_rotation(random.uniform(-TILT_RAD, TILT_RAD, 3)) @ usual
         felt = section_from_board @ up + random.normal(0.0, felt_rad, 3)
-        seen = exp_rotation(random.normal(0.0, seen_rad, 3)) @ mounted @ section_from_board
-        found.append(Attitude(str(k), felt / np.linalg.norm(felt), seen))
-    return found
+        camera_from_board = exp_rotation(random.normal(0.0, seen_rad, 3)) @ mounted @ section_from_board
+        attitudes.append(Attitude(str(k), felt / np.linalg.norm(felt), camera_from_board))
+    return attitudes
 
 
 def test_without_noise_the_mounting_is_exact() -> None:
     true = exp_rotation(np.array([0.4, -1.2, 0.8]))
-    found = mount(_attitudes(true, 1, felt_rad=0.0, seen_rad=0.0))
-    assert np.allclose(found.camera_from_section, true, atol=1e-9)
-    assert np.all(found.errors_rad < 1e-9)
+    mounting = mount(_attitudes(true, 1, felt_rad=0.0, seen_rad=0.0))
+    assert np.allclose(mounting.camera_from_section, true, atol=1e-9)
+    assert np.all(mounting.errors_rad < 1e-9)
 
 
 def test_errors_scatter_as_the_sigma_says() -> None:
     """Eight attitudes leave eleven degrees of freedom: Student's t has rms sqrt(11 / 9) = 1.1."""
     true, unit = exp_rotation(np.array([0.1, 0.05, -0.2])), []
     for seed in range(60):
-        found = mount(_attitudes(true, seed, felt_rad=1e-3, seen_rad=3e-4))
-        unit.append(log_rotation(found.camera_from_section @ true.T) / found.sigma_rad)
+        mounting = mount(_attitudes(true, seed, felt_rad=1e-3, seen_rad=3e-4))
+        unit.append(log_rotation(mounting.camera_from_section @ true.T) / mounting.sigma_rad)
     assert 0.9 < np.sqrt(np.mean(np.square(unit))) < 1.35
 
 
@@ -131,8 +131,8 @@ def test_a_recording_gives_the_mounting_that_was_flown() -> None:
     made = Rig.from_airframe(airframe_with_mounting(base, *mountings))
     off = log_rotation(made.left.rest.camera_from_body @ (together @ rig.left.rest.camera_from_body).T)
     assert np.all(np.abs(off) < 4 * mountings[0].sigma_rad)
-    kept = made.right.rest.camera_from_body @ made.left.rest.camera_from_body.T
-    assert np.allclose(kept, exp_rotation(TURN), atol=1e-9)
+    right_from_left = made.right.rest.camera_from_body @ made.left.rest.camera_from_body.T
+    assert np.allclose(right_from_left, exp_rotation(TURN), atol=1e-9)
     assert disagreement_rad(base, *mountings) < 4e-3
 
 
@@ -178,13 +178,15 @@ def test_the_command_writes_the_mounting(
     base = _base()
     rig = Rig.from_airframe(base)
 
-    def found(_recording: object, _base: Airframe, _board: object, side: Side) -> tuple[list[Attitude], dict[str, str]]:
+    def drawn_attitudes(
+        _recording: object, _base: Airframe, _board: object, side: Side
+    ) -> tuple[list[Attitude], dict[str, str]]:
         mounted = (rig.left, rig.right)[side].rest.camera_from_body
         return _attitudes(mounted, 5, felt_rad=1e-3, seen_rad=3e-4), {"12.5 s": "still, but no board in the image"}
 
     monkeypatch.setattr(calibrate, "open_recording", lambda *_: None)
     monkeypatch.setattr(calibrate, "load_airframe", lambda _: base)
-    monkeypatch.setattr(calibrate, "find_attitudes", found)
+    monkeypatch.setattr(calibrate, "find_attitudes", drawn_attitudes)
     parser = argparse.ArgumentParser()
     calibrate.add_arguments(parser)
     words = ["mounting", "flight.mcap", "--square-m", "0.04", "--airframe", "any", "--out", str(tmp_path)]

@@ -154,10 +154,10 @@ def test_a_view_whose_images_do_not_belong_together_or_show_no_board_is_refused_
     pairs = _pairs("chessboard")
     views, rejected = find_views([*pairs[:3], ("empty", np.full((480, 640), 90, np.uint8), pairs[0][2])], CHESS)
     assert "left" in rejected["empty"]
-    whole, _ = find_views(pairs, CHESS)
-    spoiled = whole[2].left.pixels + np.random.default_rng(1).normal(0, 2.0, whole[2].left.pixels.shape)
-    bad = dataclasses.replace(whole[2], name="shaken", left=dataclasses.replace(whole[2].left, pixels=spoiled))
-    fit = calibrate_rig([*whole[:2], bad, *whole[3:]], CHESS, SIZE)
+    all_views, _ = find_views(pairs, CHESS)
+    spoiled = all_views[2].left.pixels + np.random.default_rng(1).normal(0, 2.0, all_views[2].left.pixels.shape)
+    bad = dataclasses.replace(all_views[2], name="shaken", left=dataclasses.replace(all_views[2].left, pixels=spoiled))
+    fit = calibrate_rig([*all_views[:2], bad, *all_views[3:]], CHESS, SIZE)
     assert "reprojection error" in fit.rejected["shaken"]
     with pytest.raises(ConfigError, match="too few"):
         calibrate_rig(views, CHESS, SIZE)
@@ -209,12 +209,12 @@ def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_
     fit = _fit(kind)
     points = np.array([[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)])
     rays = []
-    for true, found, turn, shift in zip((LEFT, RIGHT), fit.lenses, (0 * TURN, TURN), (0 * SHIFT, SHIFT), strict=True):
+    for true, lens, turn, shift in zip((LEFT, RIGHT), fit.lenses, (0 * TURN, TURN), (0 * SHIFT, SHIFT), strict=True):
         pixels = cv2.projectPoints(points, turn, shift, true.matrix, np.asarray(true.distortion))[0]
-        rays.append(cv2.undistortPoints(pixels, found.matrix, np.asarray(found.values[4:]))[:, 0])
+        rays.append(cv2.undistortPoints(pixels, lens.matrix, np.asarray(lens.values[4:]))[:, 0])
     apart = np.column_stack([cv2.Rodrigues(fit.rotation_rad)[0], fit.translation_m])
-    seen = cv2.triangulatePoints(np.eye(3, 4), apart, rays[0].T.copy(), rays[1].T.copy())
-    error_rad = float(np.linalg.norm(SHIFT)) * abs(float(np.mean(seen[3] / seen[2])) - 1.0 / 60.0)
+    triangulated = cv2.triangulatePoints(np.eye(3, 4), apart, rays[0].T.copy(), rays[1].T.copy())
+    error_rad = float(np.linalg.norm(SHIFT)) * abs(float(np.mean(triangulated[3] / triangulated[2])) - 1.0 / 60.0)
     sigma_rad = toe_sigma_rad(fit)
     assert error_rad < 3.5 * sigma_rad
     assert sigma_rad < fit.rotation_sigma_rad[1], "yaw and principal points make up for each other"

@@ -75,11 +75,15 @@ def test_replay_nodes_give_pairs_on_the_host_s_clock(videos: tuple[Path, Path]) 
     pairer, made = FramePairer(), []
     for frame in frames:
         made += pairer.add(frame)[0]
-    assert [one.left.sequence for one in made] == [one.right.sequence for one in made] == list(range(8))
-    for one in made:  # MJPEG may be off by a few levels
-        assert abs(float(one.left.image.mean()) - BRIGHT * one.left.sequence) < 5
-        assert abs(float(one.right.image.mean()) - BRIGHT * one.left.sequence - 10) < 5
-    spacing_ms = np.diff([one.left.mid_exposure_ns for one in made]) * 1e-6
+    assert (
+        [frame_pair.left.sequence for frame_pair in made]
+        == [frame_pair.right.sequence for frame_pair in made]
+        == list(range(8))
+    )
+    for frame_pair in made:  # MJPEG may be off by a few levels
+        assert abs(float(frame_pair.left.image.mean()) - BRIGHT * frame_pair.left.sequence) < 5
+        assert abs(float(frame_pair.right.image.mean()) - BRIGHT * frame_pair.left.sequence - 10) < 5
+    spacing_ms = np.diff([frame_pair.left.mid_exposure_ns for frame_pair in made]) * 1e-6
     assert np.median(spacing_ms) == pytest.approx(40.0, abs=25.0)
 
 
@@ -112,8 +116,8 @@ def test_long_up_times_keep_their_microseconds() -> None:
 
 
 def test_the_library_s_clock_is_the_host_s() -> None:
-    before, there, after = time.monotonic(), dai.Clock.now().total_seconds(), time.monotonic()
-    assert before - 1e-5 <= there <= after + 1e-5
+    before, library_s, after = time.monotonic(), dai.Clock.now().total_seconds(), time.monotonic()
+    assert before - 1e-5 <= library_s <= after + 1e-5
 
 
 # ------------------------------------------------------------------------------------------------ left alone
@@ -128,9 +132,9 @@ def test_no_pipeline_of_ours_calibrates_the_device(videos: tuple[Path, Path], mo
     monkeypatch.setattr(oak, "library", lambda: WithoutDevice())
     monkeypatch.setattr(oak, "camera_queue", lambda *_: None)
     monkeypatch.setattr(OakPair, "_start", lambda _: None)
-    one = OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (64, 48), OakTiming())
+    single = OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (64, 48), OakTiming())
     two = OakPair(OakSensor("a", "CAM_B"), OakSensor("b", "CAM_B"), (64, 48), OakTiming())
-    pipelines = [pipeline for pair in (replayed, one, two) for pipeline in pair._pipelines.values()]
+    pipelines = [pipeline for pair in (replayed, single, two) for pipeline in pair._pipelines.values()]
     assert len(pipelines) == 4
     assert {pipeline.getAutoCalibrationMode() for pipeline in pipelines} == {off}
 
@@ -281,14 +285,14 @@ def test_a_calibration_survives_the_handler_and_its_file(tmp_path: Path, name: s
     bare = load_airframe(name)
     assert bare.right_camera is not None
     start = dataclasses.replace(left, focal_px=Uncertain(700.0, 0.4), focal_ratio=1.0, distortion=(0.0,) * 5)
-    one, other = cameras_from_handler(handler_of(file), SOCKETS, start, bare.right_camera)
-    for found, true in ((one, left), (other, right)):
-        assert found.focal_px.value == pytest.approx(true.focal_px.value, rel=1e-6)
-        assert found.focal_ratio == pytest.approx(true.focal_ratio, rel=1e-6)
-        assert found.principal_px == pytest.approx(true.principal_px, rel=1e-6)
-        assert found.distortion == pytest.approx(true.distortion, rel=1e-5, abs=1e-9)
-        assert found.rotation_rad == pytest.approx(true.rotation_rad, abs=1e-6)
-        assert found.position_m == pytest.approx(true.position_m, abs=1e-6)
+    first, other = cameras_from_handler(handler_of(file), SOCKETS, start, bare.right_camera)
+    for camera, true in ((first, left), (other, right)):
+        assert camera.focal_px.value == pytest.approx(true.focal_px.value, rel=1e-6)
+        assert camera.focal_ratio == pytest.approx(true.focal_ratio, rel=1e-6)
+        assert camera.principal_px == pytest.approx(true.principal_px, rel=1e-6)
+        assert camera.distortion == pytest.approx(true.distortion, rel=1e-5, abs=1e-9)
+        assert camera.rotation_rad == pytest.approx(true.rotation_rad, abs=1e-6)
+        assert camera.position_m == pytest.approx(true.position_m, abs=1e-6)
 
 
 def test_a_point_is_where_the_handler_s_own_pose_puts_it() -> None:

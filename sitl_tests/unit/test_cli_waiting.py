@@ -23,8 +23,8 @@ def lines(pause: RepeatPause, wording: str | None, from_s: float, to_s: float) -
 def test_clocks_are_called_by_their_owners() -> None:
     said = waiting_text(BOOT, 7.0, None)
     assert said == "waiting for the autopilot's, the left node's and the right node's clocks (Ctrl-C ends it)"
-    one = ServiceStatus(1, Health.BOOT, "waiting for node_left clock", {})
-    assert waiting_text(one, 7.0, 25.0) == "waiting for the left node's clock (at most 25 s)"
+    status = ServiceStatus(1, Health.BOOT, "waiting for node_left clock", {})
+    assert waiting_text(status, 7.0, 25.0) == "waiting for the left node's clock (at most 25 s)"
 
 
 def test_what_is_no_clock_is_said_as_it_is() -> None:

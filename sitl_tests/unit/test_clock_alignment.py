@@ -61,10 +61,10 @@ def pair(seed: int, lag_s: float) -> tuple[Floats, Floats, Floats, Floats]:
 def test_the_lag_is_found_beside_bending_tilt_scale_and_bias_and_its_sigma_is_honest(lag_s: float) -> None:
     z = []
     for seed in range(12):
-        found = lag_between(*pair(seed, lag_s), SPAN_S, MOST_S)
-        assert found is not None
-        assert found.sigma_s < 0.001
-        z.append((found.lag_s - lag_s) / found.sigma_s)
+        lag = lag_between(*pair(seed, lag_s), SPAN_S, MOST_S)
+        assert lag is not None
+        assert lag.sigma_s < 0.001
+        z.append((lag.lag_s - lag_s) / lag.sigma_s)
     assert np.max(np.abs(z)) < SIGMAS
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.8
 
@@ -72,8 +72,8 @@ def test_the_lag_is_found_beside_bending_tilt_scale_and_bias_and_its_sigma_is_ho
 def test_an_aircraft_at_rest_cannot_be_aligned() -> None:
     rng, node_s, root_s = np.random.default_rng(2), np.arange(-0.2, 12.2, 0.001), np.arange(-0.2, 12.2, 0.003)
     node, root = (rng.normal(0, 0.002, (len(t_s), 3)) for t_s in (node_s, root_s))
-    found = lag_between(node_s, node, root_s, root, SPAN_S, MOST_S)
-    assert found is None or found.sigma_s > 0.0025
+    lag = lag_between(node_s, node, root_s, root, SPAN_S, MOST_S)
+    assert lag is None or lag.sigma_s > 0.0025
     assert lag_between(node_s, 0 * node, root_s, 0 * root, SPAN_S, MOST_S) is None
 
 
@@ -125,16 +125,16 @@ def cell_means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
 @pytest.mark.slow
 def test_heave_and_roll_align_a_tip_without_gyro_and_the_sigma_is_honest() -> None:
     """Perturbed wings that bend, in gusts, rolls and pull-ups; most are used, and the others said to be too bad."""
-    found = []
+    estimates = []
     for seed in range(20, 32):
         flight = build_flight(load_airframe("nadir-2m"), seed, 37.0)
-        found += [heave(flight, station, 12.0) for station in (Station.LEFT, Station.RIGHT)]
-    lags = [lag for lag in found if lag is not None]
+        estimates += [heave(flight, station, 12.0) for station in (Station.LEFT, Station.RIGHT)]
+    lags = [lag for lag in estimates if lag is not None]
     z = np.array([(lag.lag_s - SHIFT_S) / lag.sigma_s for lag in lags])
     used = [lag.lag_s - SHIFT_S for lag in lags if lag.sigma_s <= LARGEST_SIGMA_S]
     rms_s = float(np.sqrt(np.mean(np.square(used))))
-    print(f"{len(used)} of {len(found)} used, {1e3 * rms_s:.2f} ms rms; {np.sqrt(np.mean(z**2)):.2f} sigma")
-    assert len(used) > len(found) / 2
+    print(f"{len(used)} of {len(estimates)} used, {1e3 * rms_s:.2f} ms rms; {np.sqrt(np.mean(z**2)):.2f} sigma")
+    assert len(used) > len(estimates) / 2
     assert rms_s < LARGEST_SIGMA_S
     assert np.abs(z).max() < 3.0
     assert 0.3 < np.sqrt(np.mean(z**2)) < 1.5
@@ -143,8 +143,8 @@ def test_heave_and_roll_align_a_tip_without_gyro_and_the_sigma_is_honest() -> No
 @pytest.mark.slow
 def test_a_wing_that_flies_straight_on_tells_nothing_by_its_heave() -> None:
     flight = build_flight(load_airframe("nadir-2m"), 5, 37.0, plan=still_plan(37.0))
-    found = heave(flight, Station.LEFT, 12.0)
-    assert found is None or found.sigma_s > LARGEST_SIGMA_S
+    lag = heave(flight, Station.LEFT, 12.0)
+    assert lag is None or lag.sigma_s > LARGEST_SIGMA_S
 
 
 def test_what_a_rigid_wing_feels_is_force_and_lever_arm() -> None:
@@ -188,9 +188,9 @@ def without_cameras(airframe: Airframe) -> Airframe:
     return dataclasses.replace(airframe, left_camera=None, right_camera=None)
 
 
-def clock_errors(flight: Flight, told: list[ClockState]) -> tuple[list[int], list[ClockState]]:
+def clock_errors(flight: Flight, all_states: list[ClockState]) -> tuple[list[int], list[ClockState]]:
     """Error [ns] of every state of the left node's clock, and the states."""
-    clock, states = flight.real.clocks[NODE], [state for state in told if state.clock is NODE]
+    clock, states = flight.real.clocks[NODE], [state for state in all_states if state.clock is NODE]
     true = [clock.from_boot(state.at_host_ns - HOST_EPOCH_NS) - state.at_host_ns for state in states]
     return [state.offset_ns - offset for state, offset in zip(states, true, strict=True)], states
 

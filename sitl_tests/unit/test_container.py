@@ -22,7 +22,7 @@ from tools.bench.size import pins
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-KNOWN = {"FROM", "RUN", "WORKDIR", "COPY", "ENV", "VOLUME", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "LABEL"}
+INSTRUCTION_NAMES = {"FROM", "RUN", "WORKDIR", "COPY", "ENV", "VOLUME", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "LABEL"}
 
 
 def instructions(text: str) -> list[tuple[str, str]]:
@@ -55,7 +55,7 @@ def is_sent(name: str) -> bool:
 
 
 def test_every_line_begins_with_an_instruction() -> None:
-    assert {name for name, _ in INSTRUCTIONS} == KNOWN
+    assert {name for name, _ in INSTRUCTIONS} == INSTRUCTION_NAMES
     assert INSTRUCTIONS[0][0] == "FROM"
 
 
@@ -106,9 +106,9 @@ def test_blueos_gives_it_the_machine_s_network_devices_and_a_folder_that_stays()
     assert host["NetworkMode"] == "host"
     assert "PortBindings" not in host, "a port of the machine's own network is not bound to another"
     binds = dict(bind.split(":") for bind in host["Binds"])
-    (kept,) = [rest for name, rest in INSTRUCTIONS if name == "VOLUME"]
-    assert kept in binds.values()
-    assert environment()["XDG_STATE_HOME"] == kept, "what it learns and its token outlive the container"
+    (volume,) = [rest for name, rest in INSTRUCTIONS if name == "VOLUME"]
+    assert volume in binds.values()
+    assert environment()["XDG_STATE_HOME"] == volume, "what it learns and its token outlive the container"
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,8 @@ def test_it_starts_a_command_that_the_program_takes(
     program = tmp_path / "spanwise"
     program.write_text('#!/bin/sh\nfor word in "$@"; do echo "$word"; done\n')
     program.chmod(0o755)
-    given = {**environment(), **changed, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    done = subprocess.run([*entry, "--set", "RNG_MAX=150"], env=given, capture_output=True, text=True, check=True)
+    variables = {**environment(), **changed, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run([*entry, "--set", "RNG_MAX=150"], env=variables, capture_output=True, text=True, check=True)
     words = done.stdout.splitlines()
     assert words[0] == "run"
     assert words[-2:] == ["--set", "RNG_MAX=150"], "what is given to the container comes last"

@@ -26,12 +26,12 @@ def evaluation() -> FlightEvaluation:
         "toe_sigma_rad": np.full(len(t_s), 1e-4),
         "corrected.sigma_m": np.full(len(t_s), 0.4),
     }
-    for name, share in (("rigid", 0.4), ("rigid_in_trim", 0.2), ("corrected", 0.005), ("oracle", 0.0)):
+    for name, error_ratio in (("rigid", 0.4), ("rigid_in_trim", 0.2), ("corrected", 0.005), ("oracle", 0.0)):
         series |= {
             f"{name}.t_s": t_s,
             f"{name}.z_true_m": true_m,
-            f"{name}.range_m": true_m * (1.0 - share * rng.uniform(0.5, 1.0, len(t_s))),
-            f"{name}.toe_error_rad": share * rng.normal(0.0, 0.01, len(t_s)),
+            f"{name}.range_m": true_m * (1.0 - error_ratio * rng.uniform(0.5, 1.0, len(t_s))),
+            f"{name}.toe_error_rad": error_ratio * rng.normal(0.0, 0.01, len(t_s)),
         }
     series |= {"blur.at_plan": rng.gamma(2.0, 0.2, len(t_s)), "blur.at_random": rng.gamma(2.0, 0.4, len(t_s))}
     plain = {

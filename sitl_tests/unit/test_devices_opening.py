@@ -70,16 +70,16 @@ class Scripted:
 
 def test_a_file_plays_at_its_own_pace_on_the_host_s_clock() -> None:
     clock, source = ManualClock(10**12), Scripted([50 * MS, 150 * MS, 170 * MS])
-    pair, seen = PacedPair(source, clock), []
+    pair, deliveries = PacedPair(source, clock), []
     while clock.now_ns() < 10**12 + 400 * MS:
         before_ns = clock.now_ns()
         for frame in pair.poll(0.02):
-            seen.append((frame.side, frame.mid_exposure_ns - 10**12, clock.now_ns() - 10**12))
+            deliveries.append((frame.side, frame.mid_exposure_ns - 10**12, clock.now_ns() - 10**12))
             assert frame.clock is ClockName.HOST
             assert (frame.exposure_ns, frame.row_time_ns) == (5, 7)
         assert clock.now_ns() <= before_ns + 20 * MS
-    assert [(side, at) for side, at, _ in seen] == [(side, at) for at in (0, 100 * MS, 120 * MS) for side in Side]
-    assert all(given == at for _, at, given in seen), "no frame comes before its exposure"
+    assert [(side, at) for side, at, _ in deliveries] == [(side, at) for at in (0, 100 * MS, 120 * MS) for side in Side]
+    assert all(delivered_at == at for _, at, delivered_at in deliveries), "no frame comes before its exposure"
     pair.close()
     assert source.closed
 
@@ -91,10 +91,10 @@ def test_images_of_a_recording_come_back_with_their_stamps(tmp_path: Path, airfr
         for side in Side:
             writer.write(_frame(side, t_ns))
     writer.close()
-    pair, found = RecordedPair(path), []
+    pair, images = RecordedPair(path), []
     while frames := pair.poll(0.0):
-        found += [(frame.side, frame.mid_exposure_ns, int(frame.image[0, 0])) for frame in frames]
-    assert found == [(side, t, t) for t in (100, 200) for side in Side]
+        images += [(frame.side, frame.mid_exposure_ns, int(frame.image[0, 0])) for frame in frames]
+    assert images == [(side, t, t) for t in (100, 200) for side in Side]
 
 
 def test_a_recording_without_images_is_named(tmp_path: Path, airframe: Airframe) -> None:
@@ -224,18 +224,18 @@ def _options(*words: str) -> argparse.Namespace:
 
 def test_run_wires_what_is_named(tmp_path: Path) -> None:
     _images(tmp_path, (1000,))
-    kept = ["--parameters", str(tmp_path / "kept")]
-    config = run.service_config(_options("--cameras", f"folder:{tmp_path}", "--trigger", "mavlink", *kept))
+    parameter_option = ["--parameters", str(tmp_path / "kept")]
+    config = run.service_config(_options("--cameras", f"folder:{tmp_path}", "--trigger", "mavlink", *parameter_option))
     assert config.cameras is not None
     assert config.trigger is MavlinkTrigger
     run.try_devices(config)
-    blind = run.service_config(_options(*kept))
+    blind = run.service_config(_options(*parameter_option))
     assert (blind.cameras, blind.trigger) == (None, None)
 
 
 def test_run_stops_before_it_starts_when_a_device_is_absent(tmp_path: Path) -> None:
-    kept = ["--parameters", str(tmp_path / "kept")]
+    parameter_option = ["--parameters", str(tmp_path / "kept")]
     with pytest.raises(DeviceError, match="no-such-board"):
-        run.execute(_options("--trigger", "serial:/dev/no-such-board", *kept))
+        run.execute(_options("--trigger", "serial:/dev/no-such-board", *parameter_option))
     with pytest.raises(ConfigError, match="--record-images needs"):
-        run.service_config(_options("--record-images", *kept))
+        run.service_config(_options("--record-images", *parameter_option))

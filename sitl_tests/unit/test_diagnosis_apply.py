@@ -34,9 +34,9 @@ def test_an_applied_effect_makes_the_same_wing(name: str) -> None:
     simulated, tracked = WingModel.from_airframe(extended), WingModel.from_airframe(apply_to_airframe(extended))
     assert apply_to_airframe(extended).effects == ()
     for field in ("stiffness_radps2", "damping_radps", "static_trim_m", "static_per_g_m"):
-        there, here = getattr(simulated.structure, field), getattr(tracked.structure, field)
+        expected, here = getattr(simulated.structure, field), getattr(tracked.structure, field)
         # a damping ratio that grows with a frequency leaves 2 zeta omega in proportion to both
-        assert here == pytest.approx(there), field
+        assert here == pytest.approx(expected), field
 
 
 def test_an_applied_baseline_and_toe_are_the_rigs() -> None:
@@ -130,8 +130,8 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
 
     def likelihood(effect: NamedEffect | None) -> float:
         airframe = dataclasses.replace(AIRFRAME, effects=(effect,) if effect else ())
-        (seen,) = observe(raw, airframe, 40.0)
-        model = FlightModel(believe(airframe, seen.sides, False, False), seen, 40.0)
+        (observations,) = observe(raw, airframe, 40.0)
+        model = FlightModel(believe(airframe, observations.sides, False, False), observations, 40.0)
         if effect and effect.channel:
             assert model.observations.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)
         return model.log_likelihood(model.expect(np.zeros(len(model.belief.nuisances))))

@@ -32,8 +32,8 @@ AIRFRAME = parse_airframe(airframe_text(0.15), "trial")
 
 def model_of(up_mps2: Floats, airframe: object = AIRFRAME) -> FlightModel:
     count = len(up_mps2)
-    seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
-    return FlightModel(believe(airframe, SIDES, False, False), seen, TOP_HZ)  # type: ignore[arg-type]
+    observations = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
+    return FlightModel(believe(airframe, SIDES, False, False), observations, TOP_HZ)  # type: ignore[arg-type]
 
 
 def drawn(seed: int, times: Floats | float = 1.0, count: int = COUNT) -> FlightModel:
@@ -46,8 +46,8 @@ def drawn(seed: int, times: Floats | float = 1.0, count: int = COUNT) -> FlightM
 
 def test_a_draw_has_the_power_of_the_spectrum() -> None:
     model = drawn(1)
-    found = model.expect(np.zeros(len(model.belief.nuisances)))
-    misfit = np.einsum("if,ijf,jf->f", found.residual.conj(), found.inverse, found.residual).real
+    expectation = model.expect(np.zeros(len(model.belief.nuisances)))
+    misfit = np.einsum("if,ijf,jf->f", expectation.residual.conj(), expectation.inverse, expectation.residual).real
     assert np.mean(misfit) == pytest.approx(2.0, abs=0.15)  # two channels; 1100 bins of exponentials
 
 
@@ -55,11 +55,11 @@ def test_a_draw_has_the_power_of_the_spectrum() -> None:
 def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     """Score sum d |x|^2: of variance sum d^2, and the product of its column says half of that."""
     model = drawn(2)
-    found = fit([model], ())
+    fitted = fit([model], ())
     law = next(kind() for kind in generic_effects() if kind.name == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
-    assert score_scatter([model], found.state.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
+    assert score_scatter([model], fitted.state.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
 
 
 @pytest.mark.slow
@@ -68,9 +68,9 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
     strengths = {name: [] for name in names}  # type: ignore[var-annotated]
     for seed in range(8):
         model = drawn(10 + seed)
-        found = screen([model], fit([model], ()), [EffectTerm(catalogue()[name]()) for name in names])
-        for one in found.candidates:
-            strengths[one.name].append(one.z)
+        screening = screen([model], fit([model], ()), [EffectTerm(catalogue()[name]()) for name in names])
+        for candidate in screening.candidates:
+            strengths[candidate.name].append(candidate.z)
     for name, z in strengths.items():
         # |z| of 8: a mean square of 1 with standard deviation 0.5
         assert np.mean(np.square(z)) < 3.0, name
@@ -84,7 +84,7 @@ def test_a_drifting_clock_beside_strong_kicks_is_standard_normal_by_chance() -> 
     }
     term = EffectTerm(catalogue()["impulsive-forcing"].from_values(kicks))
     later = next(kind() for kind in generic_effects() if kind.name == "right side ever later")
-    strengths, told = [], []
+    strengths, information = [], []
     for seed in range(40, 48):
         calm = drawn(seed)
         forced = calm.expect(np.zeros(len(calm.belief.nuisances)), (term,)).motion.forced_mps2
@@ -94,10 +94,10 @@ def test_a_drifting_clock_beside_strong_kicks_is_standard_normal_by_chance() -> 
             screen([each], fit([each], terms), [EffectTerm(later)]) for each, terms in ((model, [term]), (calm, []))
         ]
         strengths.append(screened[0].candidates[0].z)
-        told.append([float(entry.candidates[0].information[0, 0]) for entry in screened])
+        information.append([float(entry.candidates[0].information[0, 0]) for entry in screened])
     # z^2 of 8: a mean square of 1 with standard deviation 0.5
     assert np.mean(np.square(strengths)) < 2.5
-    kicked, unkicked = np.mean(told, axis=0)
+    kicked, unkicked = np.mean(information, axis=0)
     assert kicked > 2.0 * unkicked
 
 
@@ -135,10 +135,10 @@ def test_a_late_stream_is_screened_from_its_own_side(late: Side) -> None:
     shown = model_of(up)
     term = EffectTerm(catalogue()["stream-delay"]())
     assert len(candidates_of([type(term.effect)], ())) == 1
-    found = screen([shown], fit([shown], ()), [term]).candidates
-    assert len(found) == 1
-    step_s = 0.005 * float(found[0].score[0] / (found[0].information[0, 0] + 1.0))
-    assert found[0].z > 5.0
+    candidates = screen([shown], fit([shown], ()), [term]).candidates
+    assert len(candidates) == 1
+    step_s = 0.005 * float(candidates[0].score[0] / (candidates[0].information[0, 0] + 1.0))
+    assert candidates[0].z > 5.0
     assert step_s == pytest.approx(delay_s if late is Side.RIGHT else -delay_s, rel=0.25)
 
 
@@ -153,8 +153,8 @@ def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:
     up += 0.5 * rng.standard_normal(up.shape)
     model = model_of(up)
     kind = catalogue()["clock-skew"]
-    found = fit([model], [EffectTerm(kind())], fit([model], ()).values)
-    value, sigma = found.value("skew_s_per_min")
+    fitted = fit([model], [EffectTerm(kind())], fit([model], ()).values)
+    value, sigma = fitted.value("skew_s_per_min")
     assert value > 3.0 * sigma
     assert abs(value - skew) < 3.0 * sigma
 
@@ -169,9 +169,9 @@ def test_a_clock_that_was_named_leaves_no_warp_and_no_crooked_sensor() -> None:
     up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
     model = model_of(up)
     term = EffectTerm(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
-    found = lack_of_fit_tests([model], fit([model], [term], fit([model], ()).values))
+    scores = lack_of_fit_tests([model], fit([model], [term], fit([model], ()).values))
     for name in ("right side ever later", "all sensors together"):
-        assert abs(found[name]) < 4.2
+        assert abs(scores[name]) < 4.2
 
 
 def test_a_fit_begins_anywhere() -> None:
@@ -194,14 +194,14 @@ def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
     """The lower part of the spectrum in the first half, the upper in the second: on average as the model says."""
     count = 2 * COUNT  # at a minute's length the change is beyond doubt
     plain = drawn(5, count=count)
-    still = {one.name: one.z for one in check([plain], fit([plain], ()))}
+    still = {statistic.name: statistic.z for statistic in check([plain], fit([plain], ()))}
     assert max(abs(still[name]) for name in still if "changing in time" in name) < 4.0
     spectrum = np.fft.rfft(plain.observations.up_mps2, axis=0)
     below = np.fft.rfftfreq(count, 1.0 / RATE_HZ) < 5.6
     low, high = (np.fft.irfft(spectrum * band[:, None], count, axis=0) for band in (below, ~below))
     first = np.sqrt(1.0 + 0.95 * np.sin(2.0 * np.pi * np.arange(count) / count))[:, None]
     jumped = model_of(low * first + high * np.sqrt(2.0 - first**2))
-    changed = {one.name: one.z for one in check([jumped], fit([jumped], ()))}
+    changed = {statistic.name: statistic.z for statistic in check([jumped], fit([jumped], ()))}
     assert changed["spectra changing in time"] > 5.0
     assert changed["first modes changing in time"] > 5.0
 
@@ -209,11 +209,11 @@ def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
 @pytest.mark.parametrize("low", [-np.inf, -14.0])
 def test_a_range_that_is_cut_on_one_side_of_gravity_is_bridged_there(low: float) -> None:
     t_s = np.arange(4000) / 1000.0
-    whole = -9.8 + 12.0 * np.sin(2 * np.pi * 5.0 * t_s) + 1e-3 * np.sin(2 * np.pi * 0.61 * t_s)
-    cut = np.clip(whole, low, 1.7)
+    uncut = -9.8 + 12.0 * np.sin(2 * np.pi * 5.0 * t_s) + 1e-3 * np.sin(2 * np.pi * 0.61 * t_s)
+    cut = np.clip(uncut, low, 1.7)
     sensor = load_airframe("nadir-2m").left
     mended = interpolate_clipped(t_s, cut, find_sample_defects(t_s, cut, sensor))
-    assert np.abs(mended - whole).max() < 0.2 * np.abs(cut - whole).max()
+    assert np.abs(mended - uncut).max() < 0.2 * np.abs(cut - uncut).max()
 
 
 def test_only_effects_of_the_samples_are_simulated() -> None:

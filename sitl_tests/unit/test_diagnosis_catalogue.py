@@ -59,15 +59,15 @@ def test_the_whole_catalogue_of_the_plan_is_there() -> None:
 
 def test_a_slipping_spring_loses_what_its_loop_encloses(model: WingModel) -> None:
     """Amplitude A beyond the yield y: the Jenkins loop encloses 4 k y (A - y) per cycle."""
-    amplitude, reach, share = 0.006, 0.002, 0.1
+    amplitude, reach, slip_ratio = 0.006, 0.002, 0.1
     omega = 2 * np.pi * 2.0
     q, qdot = amplitude * np.sin(omega * T_S), amplitude * omega * np.cos(omega * T_S)
-    force = made("hysteresis", share=share, yield_m=reach).force(moving(model, q, qdot))
+    force = made("hysteresis", share=slip_ratio, yield_m=reach).force(moving(model, q, qdot))
     assert force is not None
     steady = slice(500, 7500)  # fourteen whole cycles
     lost = -np.mean(force[0, steady] * qdot[steady]) / 2.0
     stiffness = model.structure.stiffness_radps2[0, 0]
-    assert lost == pytest.approx(4 * share * stiffness * reach * (amplitude - reach), rel=1e-3)
+    assert lost == pytest.approx(4 * slip_ratio * stiffness * reach * (amplitude - reach), rel=1e-3)
 
 
 def test_a_slipping_spring_remembers_in_the_simulator(model: WingModel) -> None:
@@ -158,9 +158,9 @@ def test_the_linear_part_of_a_cubic_spring_is_its_mean_slope(model: WingModel, c
     q = np.zeros((model.count, m))
     q[0] = 0.005 * (rng.standard_normal(m) if chance == "gaussian" else rng.uniform(-(3.0**0.5), 3.0**0.5, m))
     speed = rng.permuted(q, axis=1)
-    seen = Observations(100.0, (Side.LEFT,), np.zeros((m, 1)), np.zeros(1), False, np.ones(m), {}, None)
+    observations = Observations(100.0, (Side.LEFT,), np.zeros((m, 1)), np.zeros(1), False, np.ones(m), {}, None)
     transforms = Transforms(m, 0.01, 0.0)
-    push = SensorLineariser(seen, transforms).push(
+    push = SensorLineariser(observations, transforms).push(
         model, (EffectTerm(made("cubic-stiffness", kappa_per_m2=2000.0)),), q, speed
     )
     stiffness = structure_of(AIRFRAME.wing).stiffness_radps2[0, 0]
@@ -178,8 +178,10 @@ def test_a_bent_characteristic_is_undone(kappa: float) -> None:
     up = 10.0 * np.tanh(rng.standard_normal(m))
     up -= up.mean()
     bent = up + kappa * up**3
-    seen = Observations(1000.0, (Side.LEFT,), (bent - bent.mean())[:, None], np.zeros(1), False, np.ones(m), {}, None)
-    straight, scale = SensorLineariser(seen, Transforms(m, 0.001, 0.0)).corrected_mps2(
+    observations = Observations(
+        1000.0, (Side.LEFT,), (bent - bent.mean())[:, None], np.zeros(1), False, np.ones(m), {}, None
+    )
+    straight, scale = SensorLineariser(observations, Transforms(m, 0.001, 0.0)).corrected_mps2(
         [made("accel-cubic", kappa_s4pm2=kappa)]
     )
     assert straight[0] / scale[0] == pytest.approx(up, abs=0.02)
@@ -195,15 +197,15 @@ def test_how_much_a_gaussian_was_bent_is_told_without_bias(kappa: float) -> None
     rng, m = np.random.default_rng(6), 100_000
     up = 10.0 * rng.standard_normal(m)
     bent = up + kappa * up**3
-    seen = Observations(1000.0, (Side.LEFT,), bent[:, None], np.zeros(1), False, np.ones(m), {}, None)
-    lineariser = SensorLineariser(seen, Transforms(m, 0.001, 0.0))
+    observations = Observations(1000.0, (Side.LEFT,), bent[:, None], np.zeros(1), False, np.ones(m), {}, None)
+    lineariser = SensorLineariser(observations, Transforms(m, 0.001, 0.0))
 
-    def log_likelihood(share: float) -> float:
-        straight, scale = lineariser.corrected_mps2([made("accel-cubic", kappa_s4pm2=share * kappa)])
+    def log_likelihood(ratio: float) -> float:
+        straight, scale = lineariser.corrected_mps2([made("accel-cubic", kappa_s4pm2=ratio * kappa)])
         return -m * float(np.log(np.std(straight[0] / scale[0])) + np.log(scale[0]))
 
     shares = np.linspace(0.6, 1.3, 15)
-    curve = np.polynomial.Polynomial.fit(shares, [log_likelihood(share) for share in shares], 4)
+    curve = np.polynomial.Polynomial.fit(shares, [log_likelihood(ratio) for ratio in shares], 4)
     best = shares[0] + (shares[-1] - shares[0]) * np.argmax(curve(np.linspace(shares[0], shares[-1], 1001))) / 1000
     assert best == pytest.approx(1.0, abs=0.08)
 
@@ -214,9 +216,9 @@ def test_laws_of_a_sensor_are_undone_one_after_the_other() -> None:
     up = rng.uniform(-25.0, 25.0, m)
     once = up + 2e-4 * up**3
     both = once + 1e-4 * once**3
-    seen = Observations(1000.0, (Side.LEFT,), both[:, None], np.zeros(1), False, np.ones(m), {}, None)
+    observations = Observations(1000.0, (Side.LEFT,), both[:, None], np.zeros(1), False, np.ones(m), {}, None)
     laws = [made("accel-cubic", kappa_s4pm2=kappa) for kappa in (2e-4, 1e-4)]
-    straight, scale = SensorLineariser(seen, Transforms(m, 0.001, 0.0)).corrected_mps2(laws)
+    straight, scale = SensorLineariser(observations, Transforms(m, 0.001, 0.0)).corrected_mps2(laws)
     assert straight[0] / scale[0] == pytest.approx(up, abs=1e-6)
 
 
@@ -235,10 +237,10 @@ def test_samples_show_their_faults_and_nothing_else() -> None:
 
 
 def test_cut_peaks_are_bridged() -> None:
-    whole = 12.0 * np.sin(2 * np.pi * 5.0 * T_S)
-    cut = np.clip(whole, -11.5, 11.5)
+    uncut = 12.0 * np.sin(2 * np.pi * 5.0 * T_S)
+    cut = np.clip(uncut, -11.5, 11.5)
     mended = interpolate_clipped(T_S, cut, find_sample_defects(T_S, cut, AIRFRAME.left))
-    assert np.abs(mended - whole).max() < 0.05 < np.abs(cut - whole).max()
+    assert np.abs(mended - uncut).max() < 0.05 < np.abs(cut - uncut).max()
 
 
 @pytest.mark.parametrize("count", [7, 100, 6757, 12345])

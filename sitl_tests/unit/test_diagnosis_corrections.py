@@ -87,8 +87,8 @@ def test_what_the_smoother_leaves_untold_is_the_posterior_of_each_half(model: Fl
     density = 0.0
     for k in range(2):
         prior = (np.abs(motion.linear.receptance[k]) ** 2 * motion.linear.load[k]).real
-        told = np.sum(motion.smoother[k] * adjoint(motion.cross)[:, k], axis=0).real
-        density += float(np.sum((prior - told)[1:]))
+        explained = np.sum(motion.smoother[k] * adjoint(motion.cross)[:, k], axis=0).real
+        density += float(np.sum((prior - explained)[1:]))
     expected_m = np.sqrt(2.0 * density * model.transforms.f_hz[1])
     assert motion._untold_m(motion.smoother) == pytest.approx(expected_m, rel=1e-6)  # type: ignore[attr-defined]
     assert 0.0 < expected_m < 0.3 * np.std(motion.in_time[0][0])

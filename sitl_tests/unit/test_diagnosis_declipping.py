@@ -28,8 +28,8 @@ def wing(seed: int) -> tuple[Floats, Floats]:
     """Two sides that share two modes, the second cut at one end; the whole and the cut, (2, m)."""
     rng = np.random.default_rng(seed)
     alike, against = rung(rng, 5.0, 5.0), rung(rng, 6.4, 5.0)
-    whole = np.stack([alike - against, alike + against]) + 1.5 * rng.standard_normal((2, COUNT))
-    return whole, np.stack([whole[0], np.minimum(whole[1], LIMIT)])
+    uncut = np.stack([alike - against, alike + against]) + 1.5 * rng.standard_normal((2, COUNT))
+    return uncut, np.stack([uncut[0], np.minimum(uncut[1], LIMIT)])
 
 
 def spectra(values: Floats, low_hz: float, top_hz: float) -> tuple[float, complex]:
@@ -48,23 +48,23 @@ def spline(cut: Floats) -> Floats:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_power_and_coherence_are_those_of_the_uncut_recording(seed: int) -> None:
-    whole, cut = wing(seed)
+    uncut, cut = wing(seed)
     guessed = spline(cut)
-    mended = impute_clipped(cut, (cut < whole).astype(float), guessed)
+    mended = impute_clipped(cut, (cut < uncut).astype(float), guessed)
     for low_hz, top_hz in ((4.0, 5.6), (5.6, 7.5), (7.5, 30.0), (30.0, 200.0)):
-        (true, shared), (found, kept) = spectra(whole, low_hz, top_hz), spectra(mended, low_hz, top_hz)
-        assert found == pytest.approx(true, rel=0.1)
-        assert abs(kept - shared) < 0.05
-    assert spectra(guessed, 5.6, 7.5)[0] < 0.8 * spectra(whole, 5.6, 7.5)[0]
-    assert mended[1].mean() == pytest.approx(whole[1].mean(), abs=0.1)
+        (true, shared), (power, coherence) = spectra(uncut, low_hz, top_hz), spectra(mended, low_hz, top_hz)
+        assert power == pytest.approx(true, rel=0.1)
+        assert abs(coherence - shared) < 0.05
+    assert spectra(guessed, 5.6, 7.5)[0] < 0.8 * spectra(uncut, 5.6, 7.5)[0]
+    assert mended[1].mean() == pytest.approx(uncut[1].mean(), abs=0.1)
 
 
 def test_what_was_recorded_stays_and_what_was_cut_lies_beyond() -> None:
-    whole, cut = wing(3)
+    uncut, cut = wing(3)
     cut[0] = np.clip(cut[0], -LIMIT, LIMIT)
-    side = np.sign(whole - cut)
+    side = np.sign(uncut - cut)
     mended = impute_clipped(cut, side, cut)
-    assert np.array_equal(mended[side == 0.0], whole[side == 0.0])
+    assert np.array_equal(mended[side == 0.0], uncut[side == 0.0])
     assert (side * (mended - cut) >= 0.0).all()
     assert np.isfinite(mended).all()
 
@@ -72,7 +72,7 @@ def test_what_was_recorded_stays_and_what_was_cut_lies_beyond() -> None:
 @pytest.mark.slow
 def test_a_recording_is_restored_on_its_way_to_the_grid() -> None:
     """Specific force is downward: a side that is cut where it accelerates up is cut at the lower end."""
-    whole, cut = wing(4)
+    uncut, cut = wing(4)
     t_s = np.arange(COUNT) / RATE_HZ
     plain, short = (
         observe(
@@ -80,7 +80,7 @@ def test_a_recording_is_restored_on_its_way_to_the_grid() -> None:
             load_airframe("nadir-2m"),
             50.0,
         )[0]
-        for values in (whole, cut)
+        for values in (uncut, cut)
     )
     assert [entry.name for entry in short.sample_defects] == ["saturation"]
     assert np.std(short.up_mps2[:, 1]) == pytest.approx(np.std(plain.up_mps2[:, 1]), rel=0.03)

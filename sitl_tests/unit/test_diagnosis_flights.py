@@ -18,7 +18,7 @@ from companion.params.files import load_airframe
 from companion.records import Side
 
 
-def found(tmp_path: Path, *arguments: str) -> dict[str, Any]:
+def diagnosis_of(tmp_path: Path, *arguments: str) -> dict[str, Any]:
     path = tmp_path / "found.json"
     code = main(["diagnose", *arguments, "--json", str(path), "--html", str(tmp_path / "page.html")])
     assert code == (3 if json.loads(path.read_text())["verdict"] == "not-identifiable" else 0)
@@ -36,7 +36,7 @@ def accel(tmp_path: Path, place: str, t_s: np.ndarray) -> str:  # type: ignore[t
 def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> None:
     t_s = np.arange(0.0, 12.0, 0.01)
     t_s = t_s[(t_s < 3.0) | (t_s > 3.2)]
-    plain = found(tmp_path, accel(tmp_path, "root", t_s), "--airframe", "nadir-2m")
+    plain = diagnosis_of(tmp_path, accel(tmp_path, "root", t_s), "--airframe", "nadir-2m")
     assert plain["verdict"] == "not-identifiable"
     assert "no accelerometer on a wing" in plain["reason"]
     assert plain["causes"] == []
@@ -50,7 +50,7 @@ def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> Non
 def test_a_wing_without_eight_seconds_gets_that_told(tmp_path: Path) -> None:
     t_s = np.arange(0.0, 12.0, 0.01)
     t_s = t_s[(t_s < 5.0) | (t_s > 11.0)]
-    plain = found(tmp_path, accel(tmp_path, "left", t_s), "--airframe", "nadir-2m")
+    plain = diagnosis_of(tmp_path, accel(tmp_path, "left", t_s), "--airframe", "nadir-2m")
     assert plain["verdict"] == "not-identifiable"
     assert "the longest stretch without a gap is 5.0 s" in plain["reason"]
     assert "at least 8 s in all" in plain["advice"][0]
@@ -80,7 +80,7 @@ def test_a_vibration_test_is_judged_from_its_matlab_files(tmp_path: Path) -> Non
             for k in (1, 2, 3)
         )
     )
-    plain = found(tmp_path, str(tmp_path), "--mapping", str(tmp_path / "bench.toml"))
+    plain = diagnosis_of(tmp_path, str(tmp_path), "--mapping", str(tmp_path / "bench.toml"))
     assert plain["verdict"] == "not-identifiable"
     assert "changed between runs 2 and 3 (9.00 -> 9.4" in plain["reason"]
     assert plain["confounded"] == ["run_order", "place_m"]
@@ -110,5 +110,5 @@ def test_a_laboratory_s_own_table_reaches_the_model_in_si(tmp_path: Path) -> Non
     assert model.observations.sides == (Side.LEFT, Side.RIGHT)
     assert "airspeed_mps" in model.observations.covariates
     # 0.01 g rms of white noise over 125 Hz, of which the model's band keeps its share
-    kept = 0.01 * 9.80665 * np.sqrt(0.5 * model.observations.rate_hz / 125.0)
-    np.testing.assert_allclose(model.observations.up_mps2.std(0), kept, rtol=0.1)
+    in_band_mps2 = 0.01 * 9.80665 * np.sqrt(0.5 * model.observations.rate_hz / 125.0)
+    np.testing.assert_allclose(model.observations.up_mps2.std(0), in_band_mps2, rtol=0.1)

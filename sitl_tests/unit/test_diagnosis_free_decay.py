@@ -70,8 +70,8 @@ def test_a_step_of_the_filter_is_the_exact_one(zeta: float) -> None:
         # Van Loan: the spread of white load from one matrix exponential
         both = np.zeros((4, 4))
         both[:2, :2], both[2:, 2:], both[1, 3] = -flow, flow.T, 3.0
-        there = expm(both * step_s)
-        spread = there[2:, 2:].T @ there[:2, 2:]
+        exponential = expm(both * step_s)
+        spread = exponential[2:, 2:].T @ exponential[:2, 2:]
         np.testing.assert_allclose(steps.process_noise[t, 0], spread, rtol=1e-9)
         # a sample is the mean acceleration of its step: (v after - v before) / step
         np.testing.assert_allclose(steps.H[t, 0], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
@@ -90,11 +90,11 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     )
     steps = kalman.matrices(modes, 0.025)
     y = rng.standard_normal((60, 4))
-    found, expected = ((np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))) for _ in range(2))
-    kalman._filter(kalman._pack_steps(steps), y, kalman._AT_REST, *found)
+    compiled, expected = ((np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))) for _ in range(2))
+    kalman._filter(kalman._pack_steps(steps), y, kalman._AT_REST, *compiled)
     filter_batch(steps, y, *expected)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+    for swept, other in zip(compiled, expected, strict=True):
+        np.testing.assert_allclose(swept, other, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -123,11 +123,11 @@ def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
     t_s = np.arange(count) / RATE_HZ
     up = np.sin(2.0 * np.pi * 9.0 * t_s)
     raw = RawFreeDecay("one", t_s, up, {"gauge_v": 0.1 * up + 0.01 * t_s, "stand_m": t_s})
-    (one,), scales = prepare([raw], BAND_HZ)
+    (decay,), scales = prepare([raw], BAND_HZ)
     assert list(scales) == ["stand_m"]
-    assert any("gauge_v vibrates" in note for note in one.notes)
-    assert one.rate_hz == pytest.approx(2.6 * BAND_HZ[1], rel=0.01)
-    np.testing.assert_allclose(one.up_mps2[20:-20], np.sin(2.0 * np.pi * 9.0 * one.t_s[20:-20]), atol=0.02)
+    assert any("gauge_v vibrates" in note for note in decay.notes)
+    assert decay.rate_hz == pytest.approx(2.6 * BAND_HZ[1], rel=0.01)
+    np.testing.assert_allclose(decay.up_mps2[20:-20], np.sin(2.0 * np.pi * 9.0 * decay.t_s[20:-20]), atol=0.02)
     late = np.concatenate([t_s[:4000], t_s[4000:] + 0.5])
     (cut,), _ = prepare([RawFreeDecay("two", late, up, {})], BAND_HZ)
     assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.1)

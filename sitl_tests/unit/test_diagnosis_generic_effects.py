@@ -41,8 +41,8 @@ TEXT = airframe_text(0.15)
 
 def seen_by(text: str, up_mps2: Floats) -> FlightModel:
     count = len(up_mps2)
-    seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
-    return FlightModel(believe(parse_airframe(text, "trial"), SIDES, False, False), seen, 40.0)
+    observations = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
+    return FlightModel(believe(parse_airframe(text, "trial"), SIDES, False, False), observations, 40.0)
 
 
 def drawn(text: str, seed: int) -> Floats:
@@ -63,7 +63,7 @@ def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: 
     """Exponentials have the skewness 2, their sum that over the root of their number: beyond 3 lies 1 of 741."""
     sums = np.random.default_rng(1).gamma(count, size=200_000)
     z = np.array(
-        [normal_score_of_gamma(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]]
+        [normal_score_of_gamma(score, 2.0 / np.sqrt(count)) for score in ((sums - count) / np.sqrt(count))[:4_000]]
     )
     expected = 4_000 * norm.sf(2.5)
     assert np.sum(z > 2.5) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
@@ -73,7 +73,7 @@ def test_a_score_over_a_scatter_from_few_draws_gets_the_strength_that_its_chance
     """Normal over the root of a mean of 9 squares: beyond 3 lies 1 of 67, and of what it is worth 1 of 370."""
     rng = np.random.default_rng(2)
     raw = rng.standard_normal(20_000) / np.sqrt(rng.chisquare(9, 20_000) / 9.0)
-    z = np.array([normal_score_of_student(one, 9) for one in raw[np.abs(raw) > 3.0].tolist()])
+    z = np.array([normal_score_of_student(score, 9) for score in raw[np.abs(raw) > 3.0].tolist()])
     assert normal_score_of_student(-3.5, 9) == -normal_score_of_student(3.5, 9) < 0.0
     expected = 20_000 * 2.0 * norm.sf(3.0)
     assert np.sum(np.abs(z) > 3.0) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
@@ -84,7 +84,7 @@ def test_a_sum_of_few_products_gets_the_strength_that_its_chance_is_worth(count:
     """Either part of a product of two complex normals is a difference of two exponentials, half of each."""
     rng = np.random.default_rng(6)
     raw = (rng.gamma(count, size=400_000) - rng.gamma(count, size=400_000)) / np.sqrt(2.0 * count)
-    z = np.array([normal_score_of_products(one, count) for one in raw[np.abs(raw) > 3.0].tolist()])
+    z = np.array([normal_score_of_products(score, count) for score in raw[np.abs(raw) > 3.0].tolist()])
     assert normal_score_of_products(-4.0, count) == -normal_score_of_products(4.0, count) > -4.0
     assert normal_score_of_products(4.0, 1e6) == pytest.approx(4.0, abs=1e-3)
     expected = 400_000 * 2.0 * norm.sf(3.2)
@@ -97,8 +97,8 @@ def test_a_family_of_scores_with_long_tails_gets_the_strength_that_its_chance_is
     rng = np.random.default_rng(7)
     scores = (rng.gamma(5, size=(20_000, 20)) - rng.gamma(5, size=(20_000, 20))) / np.sqrt(10.0)
     strongest = scores[np.argsort(-np.sum(scores**2, axis=1))[:700]]
-    z = np.array([_together(one, np.eye(20), 20 * 3.0 / 5.0) for one in strongest])
-    plain = np.array([_together(one, np.eye(20), 0.0) for one in strongest])
+    z = np.array([_together(family, np.eye(20), 20 * 3.0 / 5.0) for family in strongest])
+    plain = np.array([_together(family, np.eye(20), 0.0) for family in strongest])
     expected = 20_000 * 2.0 * norm.sf(2.5)
     assert np.sum(z > 2.5) == pytest.approx(expected, rel=0.4)
     assert np.sum(plain > 2.5) > 1.6 * expected
@@ -107,9 +107,9 @@ def test_a_family_of_scores_with_long_tails_gets_the_strength_that_its_chance_is
 @pytest.mark.slow
 def test_outliers_of_noise_get_the_strength_that_their_chance_is_worth() -> None:
     rng = np.random.default_rng(4)
-    found = np.concatenate([outliers(rng.standard_normal((1000, 600))) for _ in range(100)])
+    strengths = np.concatenate([outliers(rng.standard_normal((1000, 600))) for _ in range(100)])
     # 23 of 100,000 by chance; three times as many where a kurtosis counts as the sum of few squares
-    assert 10 < int(np.sum(found > 3.5)) < 46
+    assert 10 < int(np.sum(strengths > 3.5)) < 46
 
 
 @pytest.mark.slow
@@ -129,9 +129,9 @@ def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
     label = hide(["impulsive-forcing"], (10.0, 10.0), np.random.default_rng(21))
     (tables,) = fly([label], 20.0, 78)
     model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
-    found = diagnose([model], [catalogue()["impulsive-forcing"]])
-    assert [cause.term.effect.name for cause in found.causes] == ["impulsive-forcing"]
-    (cause,) = found.causes
+    diagnosis = diagnose([model], [catalogue()["impulsive-forcing"]])
+    assert [cause.term.effect.name for cause in diagnosis.causes] == ["impulsive-forcing"]
+    (cause,) = diagnosis.causes
     hidden = label.effects["impulsive-forcing"]  # by ten sigmas, were it known how long a kick lasts
     for value, sigma in zip(cause.values[:9:3], cause.sigmas[:9:3], strict=True):
         assert abs(value - hidden) < 4.0 * sigma < 4.0 * hidden / 6.0
@@ -143,10 +143,12 @@ def test_a_tone_pays_once_for_the_frequencies_that_it_might_have_had() -> None:
     up, t_s = drawn(TEXT, 13), np.arange(COUNT) / RATE_HZ
     up[:, 1] += 1.5 * np.sin(2.0 * np.pi * 17.3 * t_s)
     model = seen_by(TEXT, up)
-    found = diagnose([model], [catalogue()["tone"]])
-    assert [cause.term.effect.name for cause in found.causes] == ["tone"]
-    whole = fit([model], (found.causes[0].term,), found.null.values)
-    assert found.causes[0].log_bayes_factor == pytest.approx(whole.log_evidence - found.null.log_evidence, abs=0.5)
+    diagnosis = diagnose([model], [catalogue()["tone"]])
+    assert [cause.term.effect.name for cause in diagnosis.causes] == ["tone"]
+    full_fit = fit([model], (diagnosis.causes[0].term,), diagnosis.null.values)
+    assert diagnosis.causes[0].log_bayes_factor == pytest.approx(
+        full_fit.log_evidence - diagnosis.null.log_evidence, abs=0.5
+    )
 
 
 def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> None:
@@ -155,10 +157,10 @@ def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> Non
     assert faster != TEXT
     for text, beyond in ((TEXT, False), (faster, True)):
         model = seen_by(TEXT, drawn(text, 3))
-        found = prior_tension(model.belief, fit([model], ()))
-        assert (found["symmetric.frequency beyond its prior"] > 5.0) == beyond
-        assert (found["all airframe parameters together"] > 5.0) == beyond
-        assert abs(found["antisymmetric.frequency beyond its prior"]) < 4.0
+        tensions = prior_tension(model.belief, fit([model], ()))
+        assert (tensions["symmetric.frequency beyond its prior"] > 5.0) == beyond
+        assert (tensions["all airframe parameters together"] > 5.0) == beyond
+        assert abs(tensions["antisymmetric.frequency beyond its prior"]) < 4.0
 
 
 @pytest.mark.slow
@@ -179,8 +181,8 @@ def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: st
 
 def _strongest_peak(up_mps2: Floats) -> tuple[str, float]:
     model = seen_by(TEXT, up_mps2)
-    found = lack_of_fit_tests([model], fit([model], ()))
-    ((name, z),) = [entry for entry in found.items() if entry[0].startswith(("both sides", "side against"))]
+    scores = lack_of_fit_tests([model], fit([model], ()))
+    ((name, z),) = [entry for entry in scores.items() if entry[0].startswith(("both sides", "side against"))]
     return name, z
 
 
@@ -193,10 +195,10 @@ def test_a_side_that_is_ever_later_is_told_from_one_that_is_late() -> None:
     ever = np.interp(t_s - 0.004 * np.linspace(-1.0, 1.0, COUNT), np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
     turned = np.fft.rfft(up[:, 1]) * np.exp(-2j * np.pi * np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ) * 4e-4)
     late = np.fft.irfft(turned, COUNT)
-    for shown, told in ((ever, True), (late, False)):
+    for shown, ever_later in ((ever, True), (late, False)):
         model = seen_by(TEXT, np.stack([up[:, 0], shown], 1))
-        found = lack_of_fit_tests([model], fit([model], ()))
-        assert (found["right side ever later"] > 5.0) is told
+        scores = lack_of_fit_tests([model], fit([model], ()))
+        assert (scores["right side ever later"] > 5.0) is ever_later
 
 
 @pytest.mark.slow
@@ -210,11 +212,11 @@ def test_a_filter_is_told_by_what_it_takes_from_either_side() -> None:
     ):
         both = [np.fft.irfft(np.fft.rfft(up[:, i]) * gain**sign, COUNT) for i, sign in enumerate(taken)]
         model = seen_by(TEXT, np.stack(both, 1))
-        found = lack_of_fit_tests([model], fit([model], ()))
-        told = {key: found[key] for key in found if key.startswith("gain falling")}
-        assert max(told, key=lambda key: told[key]) == name
-        assert told[name] > 5.0
-        assert min(told.values()) < 4.0
+        scores = lack_of_fit_tests([model], fit([model], ()))
+        gain_scores = {key: scores[key] for key in scores if key.startswith("gain falling")}
+        assert max(gain_scores, key=lambda key: gain_scores[key]) == name
+        assert gain_scores[name] > 5.0
+        assert min(gain_scores.values()) < 4.0
 
 
 @pytest.mark.slow
@@ -237,9 +239,9 @@ def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_
     hidden = Hidden({"second-mode": 0.0042}, extra={"second-mode.frequency_hz": 27.0, "loudness": 1.3})
     (tables,) = fly([hidden], 10.0, 80)
     model = model_of(tables, parse_airframe(airframe_text(noise_density(10.0)), "trial"))
-    found = diagnose([model], [catalogue()[name] for name in ("second-mode", "torsion-coupling")])
-    assert len(found.causes) == 1
-    names = {found.causes[0].term.effect.name, *found.causes[0].group}
+    diagnosis = diagnose([model], [catalogue()[name] for name in ("second-mode", "torsion-coupling")])
+    assert len(diagnosis.causes) == 1
+    names = {diagnosis.causes[0].term.effect.name, *diagnosis.causes[0].group}
     assert names == {"second-mode", "torsion-coupling"}
 
 
@@ -247,9 +249,9 @@ def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_
 def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_believed_coarse() -> None:
     """Exposures that wander by 3 ms; the matching's own noise is free."""
     model = flown(**{"exposure-jitter": 9e6})
-    found = lack_of_fit_tests([model], fit([model], ()))
-    assert found["range residual growing with its rate"] > 5.0
-    assert abs(found["range residual growing with time"]) < 5.0
+    scores = lack_of_fit_tests([model], fit([model], ()))
+    assert scores["range residual growing with its rate"] > 5.0
+    assert abs(scores["range residual growing with time"]) < 5.0
 
 
 @pytest.mark.slow
@@ -260,11 +262,11 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     led = best_trial([model], null, EffectTerm(kind()))
     assert led is not None
     assert led.term.log_trials > 0.0
-    found = fit([model], (led.term,), null.values)
-    softness_s2, damper_s = found.values[-2:]
+    fitted = fit([model], (led.term,), null.values)
+    softness_s2, damper_s = fitted.values[-2:]
     assert softness_s2 == pytest.approx(8e-5, rel=0.02)
     assert abs(damper_s) < 1e-4, "beside a loss of 4 %, which is 3.6e-4 s at that frequency, nothing damps it"
-    assert found.log_evidence > null.log_evidence + 50.0
+    assert fitted.log_evidence > null.log_evidence + 50.0
 
 
 def test_a_mount_is_screened_from_where_it_rings_if_exposures_go_together() -> None:
@@ -323,6 +325,6 @@ def test_laws_along_with_deflection_and_speed_scale_stiffness_and_damping() -> N
 
 
 def test_an_effect_s_own_law_is_one_of_the_laws_without_a_name() -> None:
-    own = {kind.own_law for kind in catalogue().values() if kind.own_law}
-    assert own <= {kind.name for kind in generic_effects()}
-    assert "force with sign of speed" in own
+    own_laws = {kind.own_law for kind in catalogue().values() if kind.own_law}
+    assert own_laws <= {kind.name for kind in generic_effects()}
+    assert "force with sign of speed" in own_laws

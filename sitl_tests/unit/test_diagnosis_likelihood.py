@@ -52,14 +52,14 @@ def draw(airframe: Airframe, truth: dict[str, float]) -> FlightModel:
     inside = np.isin(np.fft.rfftfreq(m, 1.0 / RATE_HZ), model.band_hz)
     bins[inside] = (root @ noise[..., None])[..., 0] * np.sqrt(m * RATE_HZ)
     up = np.fft.irfft(bins, m, axis=0)
-    seen = dataclasses.replace(empty, up_mps2=up)
-    return FlightModel(model.belief, seen, TOP_HZ)
+    observations = dataclasses.replace(empty, up_mps2=up)
+    return FlightModel(model.belief, observations, TOP_HZ)
 
 
 def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: FlightModel) -> None:
     """Deflection's variance under the model is what the airframe says, and S_a = w^4 |H|^2 S_g + noise."""
-    found = drawn.expect(np.zeros(len(drawn.belief.nuisances)))
-    symmetric = 0.25 * np.einsum("ijf->f", found.spectrum).real  # of the mean of both tips
+    expectation = drawn.expect(np.zeros(len(drawn.belief.nuisances)))
+    symmetric = 0.25 * np.einsum("ijf->f", expectation.spectrum).real  # of the mean of both tips
     f_hz = drawn.band_hz
     omega, w0, zeta = 2 * np.pi * f_hz, 2 * np.pi * 5.0, 0.03
     receptance = 1.0 / np.abs(w0**2 - omega**2 + 2j * zeta * w0 * omega)
@@ -98,8 +98,8 @@ def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: Flig
     square = float(np.sum(np.var(middle, axis=1)))  # of a half: both modes'
     assert float(np.mean(middle[0])) == pytest.approx(-kappa * square, rel=0.15)
     softer = abs(straight.motion.linear.receptance[0, 0]) / abs(bent.motion.linear.receptance[..., 0].ravel()[0])
-    whole = float(np.sum(np.var(moved, axis=1)))
-    assert 1.0 - softer == pytest.approx(2.0 * kappa**2 * whole, rel=0.25)
+    full_square = float(np.sum(np.var(moved, axis=1)))
+    assert 1.0 - softer == pytest.approx(2.0 * kappa**2 * full_square, rel=0.25)
 
 
 def test_the_gradient_is_the_slope_of_the_likelihood(drawn: FlightModel) -> None:
@@ -142,10 +142,12 @@ def _raw(t_s: Floats, force: Floats) -> RawRecording:
 def test_the_grid_keeps_a_sine_and_its_mean(airframe: Airframe) -> None:
     t_s = np.arange(20_001) / 1000.0  # a hundred whole periods
     force = -9.80665 + 0.3 - 2.0 * np.sin(2 * np.pi * 5.0 * t_s)
-    (seen,) = observe(_raw(t_s, force), airframe, TOP_HZ)
+    (observations,) = observe(_raw(t_s, force), airframe, TOP_HZ)
     middle = slice(200, -200)
-    assert seen.up_mps2[middle, 0] == pytest.approx(2.0 * np.sin(2 * np.pi * 5.0 * seen.t_s)[middle], abs=5e-3)
-    assert seen.mean_force_mps2 == pytest.approx([0.3, 0.3], abs=1e-6)
+    assert observations.up_mps2[middle, 0] == pytest.approx(
+        2.0 * np.sin(2 * np.pi * 5.0 * observations.t_s)[middle], abs=5e-3
+    )
+    assert observations.mean_force_mps2 == pytest.approx([0.3, 0.3], abs=1e-6)
 
 
 def test_toe_is_measured_against_the_reference(airframe: Airframe) -> None:
@@ -196,8 +198,8 @@ def test_a_step_beside_a_model_with_forces_smooths_no_motion_again(
     assert drawn.expect(louder, terms, here, small_step=True).motion.modal is not here.motion.modal
     assert len(passes) == 2
     stiffer = [EffectTerm(catalogue()["cubic-stiffness"](50.01))]
-    beside, whole = drawn.expect(nuisances, stiffer, here, small_step=True), drawn.expect(nuisances, stiffer)
-    np.testing.assert_array_equal(beside.spectrum, whole.spectrum)
+    beside, from_scratch = drawn.expect(nuisances, stiffer, here, small_step=True), drawn.expect(nuisances, stiffer)
+    np.testing.assert_array_equal(beside.spectrum, from_scratch.spectrum)
 
 
 def test_a_height_that_is_scored_next_is_reached_once(drawn: FlightModel, monkeypatch: pytest.MonkeyPatch) -> None:

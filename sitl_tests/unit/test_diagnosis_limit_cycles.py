@@ -95,17 +95,17 @@ def test_an_airspeed_that_was_held_out_is_foretold(rig: FlutterDiagnosis) -> Non
 
 
 def test_growth_and_decay_at_small_amplitude_tell_the_onset() -> None:
-    found = judged(tracks_of(GROWING, np.full(len(GROWING), 0.03), 3))
-    assert found.onset is not None
-    assert abs(found.onset.airspeed_mps - ONSET_MPS) < 3.0 * found.onset.sigma_mps + 0.05
-    assert found.onset.sigma_mps < 0.5
+    diagnosis = judged(tracks_of(GROWING, np.full(len(GROWING), 0.03), 3))
+    assert diagnosis.onset is not None
+    assert abs(diagnosis.onset.airspeed_mps - ONSET_MPS) < 3.0 * diagnosis.onset.sigma_mps + 0.05
+    assert diagnosis.onset.sigma_mps < 0.5
 
 
 def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:
     says = CYCLING.copy()
     says[3] *= 10.0
-    found = judged(tracks_of(CYCLING, amplitude_of(CYCLING), 4, says))
-    (doubt,) = found.doubts
+    diagnosis = judged(tracks_of(CYCLING, amplitude_of(CYCLING), 4, says))
+    (doubt,) = diagnosis.doubts
     assert doubt.name == "run3"
     assert doubt.tells_mps == pytest.approx(CYCLING[3], abs=0.3)
     assert judged(tracks_of(CYCLING, amplitude_of(CYCLING), 5)).doubts == ()
@@ -130,10 +130,10 @@ def test_a_wrong_airspeed_is_told_from_growth_and_decay(which: int, says: float)
 
 def test_a_linear_wing_that_decays_gets_no_name() -> None:
     speeds = np.array([12.0, 13.0, 14.0, 15.0, 16.0])
-    found = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))
-    named = {cause["name"] for cause in as_json(found)["causes"]}
+    diagnosis = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))
+    named = {cause["name"] for cause in as_json(diagnosis)["causes"]}
     assert named <= {"airspeed-dependence"}  # its damping does follow the airspeed
-    assert not any(row.cycle for row in found.rows)
+    assert not any(row.cycle for row in diagnosis.rows)
 
 
 def test_a_decay_gives_the_spring_s_curve() -> None:

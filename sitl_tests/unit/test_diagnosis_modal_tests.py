@@ -33,11 +33,11 @@ def run_of(seed: int, natural_hz: float, zeta: float = 0.008, **constants: float
 
 
 def test_modes_come_back_with_honest_sigmas() -> None:
-    found = [mode_of(run_of(seed, 9.2), 9.3) for seed in range(25)]
-    off = np.array([(one.frequency_hz - 9.2) / one.frequency_sigma_hz for one in found])
+    modes = [mode_of(run_of(seed, 9.2), 9.3) for seed in range(25)]
+    off = np.array([(mode.frequency_hz - 9.2) / mode.frequency_sigma_hz for mode in modes])
     assert 0.7 < off.std() < 1.4
     assert abs(off.mean()) < 0.6
-    assert np.mean([one.damping for one in found]) == pytest.approx(0.008, rel=0.1)
+    assert np.mean([mode.damping for mode in modes]) == pytest.approx(0.008, rel=0.1)
 
 
 def test_responses_of_a_whole_record_are_the_ratio_of_its_transforms() -> None:

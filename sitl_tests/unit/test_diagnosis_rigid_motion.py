@@ -85,39 +85,39 @@ def recorded(
     return observe(raw, airframe, top_of(airframe))[0]
 
 
-def within(seen: Observations, values: Floats) -> Floats:
-    ratio = seen.rate_hz / RATE_HZ
+def within(observations: Observations, values: Floats) -> Floats:
+    ratio = observations.rate_hz / RATE_HZ
     return values[round(INSIDE.start * ratio) : round(INSIDE.stop * ratio)]
 
 
 def test_a_rigid_aircraft_that_rolls_and_pulls_does_not_bend(airframe: Airframe) -> None:
-    seen = recorded(airframe)
-    assert seen.turning_mps2 is not None
-    assert within(seen, seen.turning_mps2).std(0).min() > 2.0, "there is much to take out"
-    assert np.abs(within(seen, seen.up_mps2 - seen.up_mps2.mean(0))).max() < 0.02
+    observations = recorded(airframe)
+    assert observations.turning_mps2 is not None
+    assert within(observations, observations.turning_mps2).std(0).min() > 2.0, "there is much to take out"
+    assert np.abs(within(observations, observations.up_mps2 - observations.up_mps2.mean(0))).max() < 0.02
 
 
 def test_wrong_scales_leave_what_their_nuisances_take_out(airframe: Airframe) -> None:
-    seen = recorded(airframe, heave_scale=0.01, tip_scale=-0.006)
-    assert within(seen, seen.up_mps2).std(0)[0] > 0.03
-    model = FlightModel(belief_for(airframe, [[seen]]), seen, top_of(airframe))
+    observations = recorded(airframe, heave_scale=0.01, tip_scale=-0.006)
+    assert within(observations, observations.up_mps2).std(0)[0] > 0.03
+    model = FlightModel(belief_for(airframe, [[observations]]), observations, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index("root.scale")] = 0.01
     deviations[keys.index("left.scale")] = -0.006
     before, after = model.expect(np.zeros(len(keys))), model.expect(deviations)
-    power = [float(np.sum(np.abs(found.residual) ** 2)) for found in (before, after)]
+    power = [float(np.sum(np.abs(expectation.residual) ** 2)) for expectation in (before, after)]
     assert power[1] < 0.01 * power[0]
     assert np.abs(after.rest_residual).max() < 0.01 < np.abs(before.rest_residual).max()
 
 
 def test_a_window_keeps_its_share_of_the_turning(airframe: Airframe) -> None:
-    seen = recorded(airframe)
-    part = seen.window(10.0, 20.0)
-    assert part.turning_mps2 is not None
-    assert seen.turning_mps2 is not None
-    first = round(10.0 * seen.rate_hz)
-    np.testing.assert_array_equal(part.turning_mps2, seen.turning_mps2[first : first + len(part.up_mps2)])
+    observations = recorded(airframe)
+    window = observations.window(10.0, 20.0)
+    assert window.turning_mps2 is not None
+    assert observations.turning_mps2 is not None
+    first = round(10.0 * observations.rate_hz)
+    np.testing.assert_array_equal(window.turning_mps2, observations.turning_mps2[first : first + len(window.up_mps2)])
 
 
 def test_a_tip_that_the_wing_turns_reads_what_it_would_upright() -> None:
@@ -133,13 +133,13 @@ def test_a_tip_that_the_wing_turns_reads_what_it_would_upright() -> None:
 @pytest.mark.parametrize("key", ["left.delay_s", "right.delay_s"])
 def test_a_late_tip_is_late_with_the_rigid_motion_too(airframe: Airframe, key: str) -> None:
     late_s = {"left.delay_s": (0.01, 0.0), "right.delay_s": (0.0, 0.01)}[key]
-    seen = recorded(airframe, late_s=late_s)
-    model = FlightModel(belief_for(airframe, [[seen]]), seen, top_of(airframe))
+    observations = recorded(airframe, late_s=late_s)
+    model = FlightModel(belief_for(airframe, [[observations]]), observations, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index(key)] = 0.01
     before, after = model.expect(np.zeros(len(keys))), model.expect(deviations)
-    power = [float(np.sum(np.abs(found.residual) ** 2)) for found in (before, after)]
+    power = [float(np.sum(np.abs(expectation.residual) ** 2)) for expectation in (before, after)]
     assert power[1] < 0.01 * power[0]
 
 
@@ -168,23 +168,23 @@ def rolling(recoil: float, other: float, noise_radps: float = 1e-3) -> tuple[Flo
 def share_of(airframe: Airframe, rate: Floats, tips: Floats) -> Callable[[float, float], Floats]:
     """Share of the gyro's roll that is taken out between two frequencies."""
     bare = dataclasses.replace(airframe, root=dataclasses.replace(airframe.root, lowpass_gyro_hz=0.0))
-    share, f_hz = roll_share({"p": (T_S, rate)}, T_S, RATE_HZ, bare, tips), np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ)
-    return lambda low_hz, top_hz: np.asarray(share[(f_hz > low_hz) & (f_hz < top_hz)])
+    ratio, f_hz = roll_share({"p": (T_S, rate)}, T_S, RATE_HZ, bare, tips), np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ)
+    return lambda low_hz, top_hz: np.asarray(ratio[(f_hz > low_hz) & (f_hz < top_hz)])
 
 
 @pytest.mark.parametrize("other", [0.0, 3.0])
 def test_a_roll_above_the_gyros_noise_is_taken_out_whole(airframe: Airframe, other: float) -> None:
     """Antisymmetric bending up to 30 Hz rolls a light fuselage, whatever else the tips show there."""
-    share = share_of(airframe, *rolling(1.0, other))
-    assert np.all(share(0.0, 28.0) > 0.9)
-    assert np.all(share(35.0, 400.0) < 0.5)
-    assert np.mean(share(35.0, 400.0)) < 0.15
+    roll_ratio = share_of(airframe, *rolling(1.0, other))
+    assert np.all(roll_ratio(0.0, 28.0) > 0.9)
+    assert np.all(roll_ratio(35.0, 400.0) < 0.5)
+    assert np.mean(roll_ratio(35.0, 400.0)) < 0.15
 
 
 def test_of_a_fuselage_that_no_wing_rolls_only_manoeuvres_are_taken_out(airframe: Airframe) -> None:
-    share = share_of(airframe, *rolling(0.0, 1.0))
-    assert np.all(share(0.0, 6.0) == 1.0)
-    assert np.mean(share(16.0, 400.0)) < 0.15
+    roll_ratio = share_of(airframe, *rolling(0.0, 1.0))
+    assert np.all(roll_ratio(0.0, 6.0) == 1.0)
+    assert np.mean(roll_ratio(16.0, 400.0)) < 0.15
 
 
 def test_a_gyro_that_shakes_on_its_mount_shakes_no_tip(airframe: Airframe) -> None:

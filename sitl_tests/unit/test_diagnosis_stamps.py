@@ -39,18 +39,18 @@ def shuffled(rng: np.random.Generator) -> np.ndarray:
 
 
 def test_good_stamps_stay_as_they_are() -> None:
-    found = in_order(T_S, VALUES)
-    assert found.t_s is T_S
-    assert found.note == ""
+    ordered = in_order(T_S, VALUES)
+    assert ordered.t_s is T_S
+    assert ordered.note == ""
 
 
 def test_rows_out_of_order_and_twice_get_back_to_their_places() -> None:
     rng = np.random.default_rng(1)
     rows = shuffled(rng)
     rows = np.insert(rows, np.arange(100, COUNT, 50), rows[np.arange(100, COUNT, 50)])
-    found = in_order(T_S[rows], VALUES[rows])
-    assert np.array_equal(found.t_s, T_S)
-    assert np.array_equal(VALUES[rows][found.rows], VALUES)
+    ordered = in_order(T_S[rows], VALUES[rows])
+    assert np.array_equal(ordered.t_s, T_S)
+    assert np.array_equal(VALUES[rows][ordered.rows], VALUES)
 
 
 @pytest.mark.parametrize(
@@ -66,17 +66,17 @@ def test_rows_out_of_order_and_twice_get_back_to_their_places() -> None:
 def test_samples_get_their_time_from_the_stamps_about_them(spoil: object, worst_s: float) -> None:
     assert callable(spoil)
     stamps = spoil(np.random.default_rng(2))
-    found = in_order(stamps, VALUES)
-    assert np.array_equal(found.rows, np.arange(COUNT))
-    assert np.diff(found.t_s).min() > 0.0
-    assert np.abs(found.t_s - T_S)[100:-100].max() < worst_s  # that of a single stamp's error, at most
-    assert np.sqrt(np.mean((found.t_s - T_S) ** 2)) < 0.4 * np.sqrt(np.mean((stamps - T_S) ** 2))
+    ordered = in_order(stamps, VALUES)
+    assert np.array_equal(ordered.rows, np.arange(COUNT))
+    assert np.diff(ordered.t_s).min() > 0.0
+    assert np.abs(ordered.t_s - T_S)[100:-100].max() < worst_s  # that of a single stamp's error, at most
+    assert np.sqrt(np.mean((ordered.t_s - T_S) ** 2)) < 0.4 * np.sqrt(np.mean((stamps - T_S) ** 2))
 
 
 def test_of_a_logger_that_started_anew_the_longest_run_counts() -> None:
     stamps = np.concatenate([T_S[:5000], T_S[:15_000]])
-    found = in_order(stamps, VALUES)
-    assert np.array_equal(found.rows, np.arange(5000, COUNT))
+    ordered = in_order(stamps, VALUES)
+    assert np.array_equal(ordered.rows, np.arange(5000, COUNT))
     late = np.insert(T_S, 10_000, 1.0)  # one late row is no new beginning
     assert len(in_order(late, np.insert(VALUES, 10_000, 7.0)).t_s) == COUNT
 
@@ -99,10 +99,10 @@ def test_dropout_jitter_is_seen_whatever_its_stamps_look_like(airframe: Airframe
         t_s, values = T_S[rows][~gone[rows]], VALUES[rows][~gone[rows]]
     else:
         values = VALUES[np.maximum.accumulate(np.where(gone, 0, np.arange(COUNT)))]
-    (found,) = find_sample_defects(t_s, values, airframe.left)
-    assert found.name == "dropout-jitter"
+    (defect,) = find_sample_defects(t_s, values, airframe.left)
+    assert defect.name == "dropout-jitter"
     name, truth = ("jitter_s", 0.001) if how.startswith("wander") else ("lost", np.mean(gone))
-    assert found.values[name] == pytest.approx(truth, rel=0.1)
+    assert defect.values[name] == pytest.approx(truth, rel=0.1)
 
 
 def test_rows_that_only_came_late_or_share_a_coarse_stamp_are_no_effect(airframe: Airframe) -> None:
@@ -117,9 +117,9 @@ def test_a_simulated_dropout_is_seen_in_what_it_writes(airframe: Airframe) -> No
 
     effect = catalogue()["dropout-jitter"].from_values({"jitter_s": 0.0, "lost": 0.05})
     smooth = np.interp(effect.sample_time(Station.LEFT, T_S), T_S, VALUES)
-    (found,) = find_sample_defects(T_S, smooth, airframe.left)
-    assert found.name == "dropout-jitter"
-    assert found.values["lost"] == pytest.approx(0.05, rel=0.2)
+    (defect,) = find_sample_defects(T_S, smooth, airframe.left)
+    assert defect.name == "dropout-jitter"
+    assert defect.values["lost"] == pytest.approx(0.05, rel=0.2)
 
 
 def ringing(rng: np.random.Generator, hz: float) -> Floats:
@@ -129,61 +129,61 @@ def ringing(rng: np.random.Generator, hz: float) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.05, 0.35])
-def test_what_was_drawn_in_gaps_has_the_power_and_the_coherence_of_the_rest(share: float) -> None:
+@pytest.mark.parametrize("gap_ratio", [0.05, 0.35])
+def test_what_was_drawn_in_gaps_has_the_power_and_the_coherence_of_the_rest(gap_ratio: float) -> None:
     rng = np.random.default_rng(5)
     alike, against = ringing(rng, 5.0), ringing(rng, 6.4)
-    whole = np.stack([alike - against, alike + against]) + 0.1 * rng.standard_normal((2, 3 * COUNT))
-    missing = np.zeros(whole.shape, dtype=np.bool_)
+    complete = np.stack([alike - against, alike + against]) + 0.1 * rng.standard_normal((2, 3 * COUNT))
+    missing = np.zeros(complete.shape, dtype=np.bool_)
     for start in range(500, 3 * COUNT - 1500, 2000):
-        missing[:, start : start + round(2000 * share)] = True
-    found = impute_missing(np.where(missing, 0.0, whole), missing)
-    assert np.array_equal(found[~missing], whole[~missing])
+        missing[:, start : start + round(2000 * gap_ratio)] = True
+    imputed = impute_missing(np.where(missing, 0.0, complete), missing)
+    assert np.array_equal(imputed[~missing], complete[~missing])
     f_hz = np.fft.rfftfreq(3 * COUNT, 1.0 / RATE_HZ)
     for low_hz, top_hz in ((4.0, 5.7), (5.7, 8.0), (20.0, 400.0)):
         band = (f_hz > low_hz) & (f_hz < top_hz)
-        (l0, r0), (l1, r1) = (np.fft.rfft(values)[:, band] for values in (whole, found))
+        (l0, r0), (l1, r1) = (np.fft.rfft(values)[:, band] for values in (complete, imputed))
         # of N resonant periods about N/2 are told apart: 60 s hold 50 bandwidths, a third of them drawn anew
         assert np.mean(abs(l1) ** 2) == pytest.approx(np.mean(abs(l0) ** 2), rel=0.25)
         shared0, shared1 = np.mean(l0 * r0.conj()), np.mean(l1 * r1.conj())
         assert abs(shared1 - shared0) < 0.25 * np.mean(abs(l0) ** 2)
 
 
-def kept(*spans: tuple[float, float]) -> Bools:
+def span_mask(*spans: tuple[float, float]) -> Bools:
     return np.any([(start <= T_S) & (stop > T_S) for start, stop in spans], axis=0)
 
 
 def test_short_gaps_are_bridged_and_long_ones_part_a_recording(airframe: Airframe) -> None:
-    inside = kept((0.0, 6.0), (6.5, 10.0), (11.9, 20.0))
-    seen = observe(raw_of(T_S[inside], VALUES[inside]), airframe, TOP_HZ)
-    assert [round(part.duration_s) for part in seen] == [10, 8]
-    assert [part.start_s for part in seen] == pytest.approx([0.0, 11.9], abs=0.01)
-    assert [part.recorded_ratio for part in seen] == pytest.approx([0.95, 1.0], abs=0.001)
-    assert "2 gaps, the longest 1901 ms; 17.6 s in 2 segments are judged, 1 gap in them bridged" in seen[0].notes[0]
+    inside = span_mask((0.0, 6.0), (6.5, 10.0), (11.9, 20.0))
+    segments = observe(raw_of(T_S[inside], VALUES[inside]), airframe, TOP_HZ)
+    assert [round(segment.duration_s) for segment in segments] == [10, 8]
+    assert [segment.start_s for segment in segments] == pytest.approx([0.0, 11.9], abs=0.01)
+    assert [segment.recorded_ratio for segment in segments] == pytest.approx([0.95, 1.0], abs=0.001)
+    assert "2 gaps, the longest 1901 ms; 17.6 s in 2 segments are judged, 1 gap in them bridged" in segments[0].notes[0]
 
 
 def test_eight_seconds_may_be_pieced_together_and_no_fewer(airframe: Airframe) -> None:
     pieces = [(2.5 * k + 0.0, 2.5 * k + 1.3) for k in range(8)]  # no stretch of 2 s
-    inside = kept(*pieces)
+    inside = span_mask(*pieces)
     with pytest.raises(RecordingError, match=r"longest stretch without a gap is 1\.3 s; record at least 8 s in all"):
         observe(raw_of(T_S[inside], VALUES[inside]), airframe, TOP_HZ)
-    inside = kept((0.0, 2.5), (4.0, 6.5), (8.0, 10.5), (12.0, 14.5))
-    seen = observe(raw_of(T_S[inside], VALUES[inside]), airframe, TOP_HZ)
-    assert len(seen) == 4
-    assert sum(part.recorded_s for part in segments_of([T_S[inside]])) == pytest.approx(10.0, abs=0.01)
+    inside = span_mask((0.0, 2.5), (4.0, 6.5), (8.0, 10.5), (12.0, 14.5))
+    segments = observe(raw_of(T_S[inside], VALUES[inside]), airframe, TOP_HZ)
+    assert len(segments) == 4
+    assert sum(segment.recorded_s for segment in segments_of([T_S[inside]])) == pytest.approx(10.0, abs=0.01)
 
 
 def test_no_range_is_used_where_the_wing_was_not_seen(airframe: Airframe) -> None:
-    inside = kept((0.0, 8.0), (8.6, 20.0))
+    inside = span_mask((0.0, 8.0), (8.6, 20.0))
     at = np.arange(0.05, 20.0, 0.1)
     rng = np.random.default_rng(6)
     shown = rng.permutation(len(at))  # rows of the ranges may come in any order, too
     tips = {side: RawStream(T_S[inside], VALUES[inside]) for side in Side}
-    (seen,) = observe(RawRecording(tips, None, RawRanges(at[shown], 40.0 + at[shown])), airframe, TOP_HZ)
-    assert seen.toe is not None
-    assert np.diff(seen.toe.t_s).min() > 0.05
-    assert not ((seen.toe.t_s > 7.4) & (seen.toe.t_s < 9.2)).any()
-    assert np.diff(seen.toe.toe_rad).max() < 0.0
+    (observations,) = observe(RawRecording(tips, None, RawRanges(at[shown], 40.0 + at[shown])), airframe, TOP_HZ)
+    assert observations.toe is not None
+    assert np.diff(observations.toe.t_s).min() > 0.05
+    assert not ((observations.toe.t_s > 7.4) & (observations.toe.t_s < 9.2)).any()
+    assert np.diff(observations.toe.toe_rad).max() < 0.0
 
 
 def test_samples_that_are_no_numbers_count_as_lost(airframe: Airframe) -> None:

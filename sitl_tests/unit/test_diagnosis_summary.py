@@ -39,18 +39,18 @@ def diagnosed(verdict: str, at_60_m: tuple[float, float] | None, **changes: Any)
 
 
 def test_a_cause_is_told_with_its_value_and_what_it_is_worth_in_metres() -> None:
-    told = summary_sentences(diagnosed("explained", (1.82, 0.46)), [])
-    assert "stream-delay (how much later 0.0052 ± 0.0002 s)" in told["cause"]
-    assert told["worth"].startswith("Worth flying: 1.82 m rms become 0.46 m at 60 m")
-    assert "--apply" in told["next"]
-    assert "strike the fuselage once" in told["next"]
+    sentences = summary_sentences(diagnosed("explained", (1.82, 0.46)), [])
+    assert "stream-delay (how much later 0.0052 ± 0.0002 s)" in sentences["cause"]
+    assert sentences["worth"].startswith("Worth flying: 1.82 m rms become 0.46 m at 60 m")
+    assert "--apply" in sentences["next"]
+    assert "strike the fuselage once" in sentences["next"]
 
 
 @pytest.mark.parametrize("at_60_m", [(1.82, 1.80), (0.46, 0.43), (0.46, 0.50)])
 def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[float, float]) -> None:
-    told = summary_sentences(diagnosed("explained", at_60_m), [])
-    assert told["worth"].startswith("Named, but not worth flying")
-    assert "--apply" not in told["next"]
+    sentences = summary_sentences(diagnosed("explained", at_60_m), [])
+    assert sentences["worth"].startswith("Named, but not worth flying")
+    assert "--apply" not in sentences["next"]
 
 
 def test_the_gain_is_told_in_mrad_of_toe_too() -> None:
@@ -67,16 +67,16 @@ def test_without_matches_nothing_is_said_in_metres() -> None:
 
 
 def test_an_adequate_recording_asks_for_nothing() -> None:
-    told = summary_sentences(diagnosed("adequate", None), ["left 7.3 Hz, 4.0 m/s^2"])
-    assert told["next"] == "Fly on."
-    assert "7.3 Hz" not in told["cause"]
+    sentences = summary_sentences(diagnosed("adequate", None), ["left 7.3 Hz, 4.0 m/s^2"])
+    assert sentences["next"] == "Fly on."
+    assert "7.3 Hz" not in sentences["cause"]
 
 
 def test_a_steady_tone_is_named_where_no_effect_explains_the_recording() -> None:
-    told = summary_sentences(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
-    assert "left 7.306 Hz, 3.98 m/s^2" in told["cause"]
-    assert "propeller" in told["next"]
-    assert "no effect of the catalogue explains it" in told["cause"]
+    sentences = summary_sentences(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
+    assert "left 7.306 Hz, 3.98 m/s^2" in sentences["cause"]
+    assert "propeller" in sentences["next"]
+    assert "no effect of the catalogue explains it" in sentences["cause"]
 
 
 def test_the_tones_of_stations_are_told_where_most_windows_have_one() -> None:
@@ -88,11 +88,11 @@ def test_the_tones_of_stations_are_told_where_most_windows_have_one() -> None:
         values[:, 2] = amplitude * np.sin(2 * np.pi * 7.3 * t_s) - 9.8 + rng.normal(0.0, 0.1, len(t_s))
         t_ns = np.rint(1e9 * t_s).astype(np.int64)
         for first in range(0, len(t_s), 400):
-            part = slice(first, first + 400)
-            stations.add(ImuBatch(station, ClockName.BOOT, t_ns[part], values[part], Axis.Z, int(t_ns[part][-1])))
-    told = stations.sentences()
-    assert [line.split()[0] for line in told] == ["left", "right"]
-    for line in told:
+            window = slice(first, first + 400)
+            stations.add(ImuBatch(station, ClockName.BOOT, t_ns[window], values[window], Axis.Z, int(t_ns[window][-1])))
+    sentences = stations.sentences()
+    assert [line.split()[0] for line in sentences] == ["left", "right"]
+    for line in sentences:
         assert float(line.split()[1]) == pytest.approx(7.3, abs=0.01)
 
 

@@ -43,14 +43,17 @@ def test_each_parameter_of_a_clock_shifts_time_by_its_own_amount() -> None:
 def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders() -> None:
     """Where both stations turn alike: (2 r)^2 together, 2 r^2 by themselves."""
     kind = catalogue()["exposure-jitter"]
-    views = [viewed([kind.from_values({"jitter2_us2": 4e6, "together": part})], Side.LEFT, 0.0) for part in (0.0, 1.0)]
+    views = [
+        viewed([kind.from_values({"jitter2_us2": 4e6, "together": together})], Side.LEFT, 0.0)
+        for together in (0.0, 1.0)
+    ]
     assert [view.jitter_s for view in views] == pytest.approx([0.002, 0.002])
     model = flown()
     motion = model.expect(np.zeros(len(model.belief.nuisances))).motion
     rows = np.zeros((2, motion.modal.shape[0], 1), dtype=np.complex128)
     rows[:, 0] = 1.0
-    own, shared = (model._toe._wandering(motion, rows, 0.0, view) for view in views)  # type: ignore[union-attr]
-    assert own == pytest.approx(0.5 * shared)
+    separate, shared = (model._toe._wandering(motion, rows, 0.0, view) for view in views)  # type: ignore[union-attr]
+    assert separate == pytest.approx(0.5 * shared)
 
 
 def test_exposures_that_wander_miss_a_fast_motion_on_average() -> None:
@@ -90,9 +93,9 @@ def _stranger(effects: dict[str, float], **extra: float) -> FlightModel:
 @pytest.mark.slow
 def test_a_left_clock_that_was_right_in_mid_flight_is_named_and_no_law_is_ahead() -> None:
     drifts = _stranger({"clock-skew": -0.009}, **{"clock-skew.set_at": 0.5, "clock-skew.node": 0.0})
-    found = diagnose([drifts], [catalogue()[name] for name in ("clock-skew", "stream-delay", "torsion-coupling")])
-    assert found.verdict is DiagnosisVerdict.EXPLAINED
-    (cause,) = found.causes
+    diagnosis = diagnose([drifts], [catalogue()[name] for name in ("clock-skew", "stream-delay", "torsion-coupling")])
+    assert diagnosis.verdict is DiagnosisVerdict.EXPLAINED
+    (cause,) = diagnosis.causes
     assert cause.term.effect.name == "clock-skew"
     skew, both, _ = cause.values
     assert skew == pytest.approx(-0.009, abs=4.0 * cause.sigmas[0])

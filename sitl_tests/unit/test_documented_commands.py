@@ -38,18 +38,18 @@ def shown(text: str) -> list[tuple[str, bool]]:
     rest = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
     mentioned = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", rest)]
     both = [(command, True) for command in typed] + [(command, False) for command in mentioned]
-    return [(command, whole) for command, whole in both if command.startswith("spanwise ")]
+    return [(command, verbatim) for command, verbatim in both if command.startswith("spanwise ")]
 
 
 COMMANDS = [
-    pytest.param(command, whole, id=f"{page.relative_to(ROOT)}: {command}")
+    pytest.param(command, verbatim, id=f"{page.relative_to(ROOT)}: {command}")
     for page in PAGES
-    for command, whole in dict.fromkeys(shown(page.read_text(encoding="utf-8")))
+    for command, verbatim in dict.fromkeys(shown(page.read_text(encoding="utf-8")))
 ]
 
 
-@pytest.mark.parametrize(("command", "whole"), COMMANDS)
-def test_a_command_that_a_page_shows_is_taken(command: str, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("command", "verbatim"), COMMANDS)
+def test_a_command_that_a_page_shows_is_taken(command: str, verbatim: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: argparse.ArgumentParser, message: str) -> None:
         raise Refused(message)
 
@@ -59,7 +59,7 @@ def test_a_command_that_a_page_shows_is_taken(command: str, whole: bool, monkeyp
     try:
         build_parser(words[0]).parse_args(words)
     except Refused as refused:
-        if whole or not any(text in str(refused) for text in _INCOMPLETE):
+        if verbatim or not any(text in str(refused) for text in _INCOMPLETE):
             raise
     except SystemExit as ended:
         if ended.code != 0:  # --help and --version end with 0
@@ -68,4 +68,4 @@ def test_a_command_that_a_page_shows_is_taken(command: str, whole: bool, monkeyp
 
 def test_pages_show_commands_at_all() -> None:
     assert len(COMMANDS) > 30
-    assert sum(bool(whole) for _, whole in (case.values for case in COMMANDS)) >= 5
+    assert sum(bool(verbatim) for _, verbatim in (case.values for case in COMMANDS)) >= 5

@@ -26,11 +26,11 @@ def shots(t_s: list[float], toe_error_rad: list[float]) -> Shots:
 def test_two_runs_are_compared_on_the_shots_that_both_judge_and_on_no_others() -> None:
     ours = shots([11.0, 12.0, 13.0, 14.0], [1e-4, -2e-4, 1e-4, 5e-3])
     other = shots([11.0, 12.0, 13.0], [-2e-4, 1e-4, 3e-4])
-    told = paired(ours, other)
-    assert (told["n"], told["same"]) == (3, False)
-    assert told["nearer"] == pytest.approx(1 / 3)
-    assert told["rms_mrad"]["corrected"] == pytest.approx(np.sqrt((1 + 4 + 1) / 3) * 0.1)
-    assert told["rms_mrad"]["other"] == pytest.approx(np.sqrt((4 + 1 + 9) / 3) * 0.1)
+    comparison = paired(ours, other)
+    assert (comparison["n"], comparison["same"]) == (3, False)
+    assert comparison["nearer"] == pytest.approx(1 / 3)
+    assert comparison["rms_mrad"]["corrected"] == pytest.approx(np.sqrt((1 + 4 + 1) / 3) * 0.1)
+    assert comparison["rms_mrad"]["other"] == pytest.approx(np.sqrt((4 + 1 + 9) / 3) * 0.1)
     assert paired(ours, ours)["same"]
     assert paired(ours, shots([11.1, 12.1], [0.0, 0.0])) == {"n": 0, "same": False}, "ids are equal, exposures are not"
 
@@ -64,30 +64,30 @@ def test_a_row_of_other_shots_says_so_and_how_many(capsys: pytest.CaptureFixture
     same = shots(t_s, [2e-4] * 20)
     random = shots([11.5 + k for k in range(7)], [1e-4] * 7)
     print_summary(summary(ours, {"vertical_only": same, "random_instants": random}))
-    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "at 60 m (20)" in told
-    assert "of 7" in told
-    assert "instants *" in told
-    assert "axes alone *" not in told
-    assert "other shots than the rows above" in told
-    assert "on the same 20 shots: 0.20 against 0.10 mrad rms, nearer the truth in 0 % of them" in told
+    printed = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "at 60 m (20)" in printed
+    assert "of 7" in printed
+    assert "instants *" in printed
+    assert "axes alone *" not in printed
+    assert "other shots than the rows above" in printed
+    assert "on the same 20 shots: 0.20 against 0.10 mrad rms, nearer the truth in 0 % of them" in printed
 
 
 def test_without_comparisons_nothing_is_marked(capsys: pytest.CaptureFixture[str]) -> None:
     print_summary(summary(shots([11.0, 12.0], [1e-4, 1e-4]), {}))
-    told = capsys.readouterr().out
-    assert "*" not in told
-    assert "other shots" not in told
+    printed = capsys.readouterr().out
+    assert "*" not in printed
+    assert "other shots" not in printed
 
 
 def test_a_flight_without_a_shot_to_judge_ends_in_a_sentence_and_not_in_tables_of_nan(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     print_summary(finite(summary(shots([], []), {})))
-    told = " ".join(capsys.readouterr().out.split())
-    assert told.startswith("no shot to judge: 0 fired")
-    assert "nan" not in told
-    assert "\u2503" not in told, "no table"
+    printed = " ".join(capsys.readouterr().out.split())
+    assert printed.startswith("no shot to judge: 0 fired")
+    assert "nan" not in printed
+    assert "\u2503" not in printed, "no table"
 
 
 def test_what_json_does_not_have_is_none() -> None:

@@ -19,10 +19,10 @@ def _range(pair_id: int, range_m: float, sigma_m: float) -> CorrectedRange:
 
 def test_a_range_that_is_off_by_its_own_sigma_counts_as_one_though_the_toe_is_known_better() -> None:
     """Focal lengths: the same share of every range, and no toe at all."""
-    true_m, share = np.linspace(5.0, 60.0, 200), 0.001
-    measured_m = true_m * (1.0 + share)
+    true_m, scale_error = np.linspace(5.0, 60.0, 200), 0.001
+    measured_m = true_m * (1.0 + scale_error)
     scored = Scored("corrected", BASELINE_M, np.arange(200) * 0.1, true_m, 1.0 / measured_m)
-    flown = PipelineOutputs(ranges={i: _range(i, measured_m[i], share * true_m[i]) for i in range(200)})
+    flown = PipelineOutputs(ranges={i: _range(i, measured_m[i], scale_error * true_m[i]) for i in range(200)})
     calibration = sigma_calibration(Shots(list(range(200)), scored.t_s, {"corrected": scored}), flown)
     assert calibration["slow_error_over_sigma_rms"] == pytest.approx(1.0, abs=0.01)
     assert calibration["published_error_over_sigma"]["rms"] == pytest.approx(1.0, abs=1e-6)

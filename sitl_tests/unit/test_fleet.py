@@ -79,8 +79,8 @@ def test_a_part_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     (path,) = files(tmp_path, "one")
     out = tmp_path / "out"
     results([path], out, 1)
-    (part,) = (out / "parts").iterdir()
-    part.write_text('{"file": "o')
+    (part_file,) = (out / "parts").iterdir()
+    part_file.write_text('{"file": "o')
     assert results([path], out, 1)["one"]["letters"] == 1
 
 
@@ -270,8 +270,8 @@ def test_the_command_writes_table_page_and_parts(tmp_path: Path, capsys: pytest.
     logs.mkdir()
     record(logs / "a.mcap", 1.0)
     record(logs / "b.mcap", 2.0)
-    whole = (logs / "b.mcap").read_bytes()
-    (logs / "b.mcap").write_bytes(whole[: len(whole) * 9 // 10])
+    all_bytes = (logs / "b.mcap").read_bytes()
+    (logs / "b.mcap").write_bytes(all_bytes[: len(all_bytes) * 9 // 10])
     (logs / "broken.mcap").write_bytes(b"no recording")
     command = ["fleet", "report", str(logs), "--out", str(tmp_path / "out"), "--workers", "2"]
     assert main(command) == 1, "a script notices that a file failed"
@@ -284,8 +284,8 @@ def test_the_command_writes_table_page_and_parts(tmp_path: Path, capsys: pytest.
     assert "2 of 3 files give a result" in page
     assert "broken.mcap" in page
     assert len(list((tmp_path / "out" / "pages").iterdir())) == 2
-    parts = [json.loads(part.read_text()) for part in (tmp_path / "out" / "parts").iterdir()]
-    assert sum("failed" in part for part in parts) == 1
+    parts = [json.loads(part_file.read_text()) for part_file in (tmp_path / "out" / "parts").iterdir()]
+    assert sum("failed" in summary for summary in parts) == 1
     (logs / "broken.mcap").unlink()
     assert main(command) == 0
 

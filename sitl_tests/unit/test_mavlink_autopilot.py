@@ -185,9 +185,9 @@ def test_time_is_exchanged_with_the_autopilot_and_each_node() -> None:
     records = bench.fly(3)
     replies = kinds(records, TimesyncReply)
     for clock in (ClockName.BOOT, ClockName.NODE_LEFT):
-        mine = [reply for reply in replies if reply.clock == clock]
-        assert 50 <= len(mine) <= 62
-        for reply in mine:
+        clock_replies = [reply for reply in replies if reply.clock == clock]
+        assert 50 <= len(clock_replies) <= 62
+        for reply in clock_replies:
             assert reply.sent_host_ns <= reply.remote_ns - bench.vehicle.offset_ns <= reply.received_host_ns
 
 

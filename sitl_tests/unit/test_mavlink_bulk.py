@@ -78,7 +78,7 @@ def stream(rng: random.Random, count: int) -> bytes:
     return bytes(data)
 
 
-def told(records: list[Record]) -> list[str]:
+def descriptions(records: list[Record]) -> list[str]:
     with np.printoptions(precision=17, threshold=100_000):
         return [repr(record) for record in records]
 
@@ -93,7 +93,7 @@ def test_both_ways_give_the_same_records(name: str, seed: int, pieces: int) -> N
     fast, plain = (decoder(AIRFRAMES[name], compiled=compiled) for compiled in (True, False))
     for k, (first, last) in enumerate(itertools.pairwise(borders)):
         chunk = RawChunk(0, (k + 1) * 20 * MS, data[first:last])
-        assert told(fast.decode_chunk(chunk)) == told(plain.decode_chunk(chunk))
+        assert descriptions(fast.decode_chunk(chunk)) == descriptions(plain.decode_chunk(chunk))
     assert fast.counters(0) == plain.counters(0)
     assert fast.delivered == plain.delivered
 

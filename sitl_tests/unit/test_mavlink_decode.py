@@ -70,8 +70,8 @@ def _standing(stream: Stream, *frames: bytes, t_ms: int) -> bool | None:
     """The next vehicle state's word on the ground after these messages."""
     air = mavlink.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0)
     attitude = mavlink.MAVLink_attitude_message(t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    found = [r for r in stream(*frames, packed(air), packed(attitude)) if isinstance(r, VehicleState)]
-    return found[-1].on_ground
+    states = [r for r in stream(*frames, packed(air), packed(attitude)) if isinstance(r, VehicleState)]
+    return states[-1].on_ground
 
 
 def test_the_ground_is_known_by_landed_state_or_by_the_heartbeats_standby() -> None:
@@ -95,10 +95,10 @@ def test_the_ground_is_known_by_landed_state_or_by_the_heartbeats_standby() -> N
 def test_highres_imu_becomes_one_batch_for_each_station() -> None:
     stream = Stream()
     frames = [packed(highres(1000 * k), component) for k in range(4) for component in (201, 1, 200)]
-    found = batches(stream(*frames))
-    assert [batch.station for batch in found] == [Station.ROOT, Station.LEFT, Station.RIGHT]
-    assert [batch.clock for batch in found] == [ClockName.BOOT, ClockName.NODE_LEFT, ClockName.NODE_RIGHT]
-    for batch in found:
+    imu_batches = batches(stream(*frames))
+    assert [batch.station for batch in imu_batches] == [Station.ROOT, Station.LEFT, Station.RIGHT]
+    assert [batch.clock for batch in imu_batches] == [ClockName.BOOT, ClockName.NODE_LEFT, ClockName.NODE_RIGHT]
+    for batch in imu_batches:
         assert batch.t_ns.tolist() == [0, MS, 2 * MS, 3 * MS]
         assert batch.axes == Axis.ALL
         np.testing.assert_allclose(batch.values, np.tile([0.1, 0.2, -G, 0.3, 0.4, 0.5], (4, 1)), rtol=1e-6)
@@ -128,10 +128,10 @@ def test_fields_updated_names_the_axes_in_body_directions() -> None:
     stream = Stream(airframe(left=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, axes=("y", "-x", "z"))))
     sensor_x_and_gyro_z = 1 | 32
     frames = [packed(highres(k, (1, 2, 3, 4, 5, 6), sensor_x_and_gyro_z if k > 1 else 63), 200) for k in range(4)]
-    whole, part = batches(stream(*frames))
-    assert (len(whole.t_ns), whole.axes) == (2, Axis.ALL)
-    assert part.axes == Axis.Y | Axis.R
-    np.testing.assert_array_equal(part.values, [[0, -1, 0, 0, 0, 6]] * 2)
+    all_axes, two_axes = batches(stream(*frames))
+    assert (len(all_axes.t_ns), all_axes.axes) == (2, Axis.ALL)
+    assert two_axes.axes == Axis.Y | Axis.R
+    np.testing.assert_array_equal(two_axes.values, [[0, -1, 0, 0, 0, 6]] * 2)
     nothing = stream(packed(highres(10, fields=0), 200))
     assert not batches(nothing)
     assert refusals(nothing) == {Reject.STALE: 1}
@@ -195,8 +195,8 @@ def test_instances_tell_equal_messages_apart() -> None:
         left=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, instance="1"),
         right=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, instance="2"),
     )
-    found = batches(Stream(frame)(*(packed(highres(10 + k, number=k % 3), 200) for k in range(9))))
-    assert [(batch.station, batch.t_ns.tolist()) for batch in found] == [
+    imu_batches = batches(Stream(frame)(*(packed(highres(10 + k, number=k % 3), 200) for k in range(9))))
+    assert [(batch.station, batch.t_ns.tolist()) for batch in imu_batches] == [
         (Station.LEFT, [11_000, 14_000, 17_000]),
         (Station.RIGHT, [12_000, 15_000, 18_000]),
     ]
@@ -275,13 +275,13 @@ def test_the_samples_do_not_depend_on_where_the_chunks_were_cut(seed: int, piece
         for component in (1, 200, 201)
     )
     borders = sorted(rng.randint(0, len(data)) for _ in range(pieces))
-    whole, cut = Stream(), Stream()
-    expected = batches(whole(data))
+    uncut, cut = Stream(), Stream()
+    expected = batches(uncut(data))
     parts = [record for a, b in zip([0, *borders], [*borders, len(data)], strict=True) for record in cut(data[a:b])]
     for batch in expected:
-        mine = [part for part in batches(parts) if part.station == batch.station]
-        np.testing.assert_array_equal(np.concatenate([part.t_ns for part in mine]), batch.t_ns)
-        np.testing.assert_array_equal(np.concatenate([part.values for part in mine]), batch.values)
+        station_batches = [piece for piece in batches(parts) if piece.station == batch.station]
+        np.testing.assert_array_equal(np.concatenate([piece.t_ns for piece in station_batches]), batch.t_ns)
+        np.testing.assert_array_equal(np.concatenate([piece.values for piece in station_batches]), batch.values)
 
 
 @pytest.mark.parametrize(

@@ -88,10 +88,10 @@ def test_alive_without_range_is_out_of_range_with_quality_one(record: CorrectedR
 
 
 def sectors(
-    distance_m: Any, known: Any, clear: Any, min_m: float = 4.0, max_m: float = 100.0, time_ns: int = 0
+    distance_m: Any, known_mask: Any, clear: Any, min_m: float = 4.0, max_m: float = 100.0, time_ns: int = 0
 ) -> ObstacleSectors:
     distance = np.asarray(distance_m, dtype=float)
-    flags = (np.asarray(known, dtype=bool), np.asarray(clear, dtype=bool))
+    flags = (np.asarray(known_mask, dtype=bool), np.asarray(clear, dtype=bool))
     return ObstacleSectors(time_ns, distance, np.ones(len(distance)), *flags, min_m, max_m)
 
 
@@ -105,11 +105,11 @@ def by_bearing(message: Any) -> list[int]:
 @given(st.lists(st.tuples(st.one_of(ANY, NEAR), st.booleans(), st.booleans()), max_size=6), ANY, ANY, TIMES)
 def test_no_sector_lies(rows: list[tuple[float, bool, bool]], min_m: float, max_m: float, time_us: int) -> None:
     rows += [(0.0, False, False)] * (72 - len(rows))
-    distance, known, clear = (list(column) for column in zip(*rows, strict=True))
-    message = sent(encode.obstacle_distance(sectors(distance, known, clear, min_m, max_m), time_us % 2**63))
+    distance, known_mask, clear = (list(column) for column in zip(*rows, strict=True))
+    message = sent(encode.obstacle_distance(sectors(distance, known_mask, clear, min_m, max_m), time_us % 2**63))
     assert all(math.isfinite(number) for number in every_number(message))
     assert len(message.distances) == 72
-    for sent_cm, metres, is_known, is_clear in zip(by_bearing(message), distance, known, clear, strict=True):
+    for sent_cm, metres, is_known, is_clear in zip(by_bearing(message), distance, known_mask, clear, strict=True):
         if is_clear:
             assert sent_cm == message.max_distance + 1
         elif is_known and math.isfinite(metres) and metres >= 0:
@@ -119,12 +119,12 @@ def test_no_sector_lies(rows: list[tuple[float, bool, bool]], min_m: float, max_
 
 
 def test_the_circle_is_full_in_body_axes_and_tells_unknown_from_clear() -> None:
-    known, clear, distance = [False] * 72, [False] * 72, [0.0] * 72
-    known[0], distance[0] = True, 12.34
-    known[1], distance[1] = True, 1.0
-    known[2], distance[2] = True, 150.0
+    known_mask, clear, distance = [False] * 72, [False] * 72, [0.0] * 72
+    known_mask[0], distance[0] = True, 12.34
+    known_mask[1], distance[1] = True, 1.0
+    known_mask[2], distance[2] = True, 150.0
     clear[3] = True
-    message = sent(encode.obstacle_distance(sectors(distance, known, clear), 5))
+    message = sent(encode.obstacle_distance(sectors(distance, known_mask, clear), 5))
     assert by_bearing(message)[:5] == [1234, 400, 10_001, 10_001, 65535]
     assert (message.frame, message.increment, message.increment_f) == (12, 5, 5.0)
 
@@ -155,9 +155,9 @@ def ardupilots_faces_m(message: Any) -> list[float | None]:
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.none(), st.floats(5.0, 90.0)), min_size=72, max_size=72))
 def test_ardupilot_sees_the_nearest_obstacle_in_every_direction(distances: list[float | None]) -> None:
-    known = [distance is not None for distance in distances]
+    known_mask = [distance is not None for distance in distances]
     metres = [distance or 0.0 for distance in distances]
-    message = sent(encode.obstacle_distance(sectors(metres, known, [False] * 72), 5))
+    message = sent(encode.obstacle_distance(sectors(metres, known_mask, [False] * 72), 5))
     for face, seen_m in enumerate(ardupilots_faces_m(message)):
         inside = [distances[(9 * face + step) % 72] for step in range(-4, 5)]
         nearest_m = min((distance for distance in inside if distance is not None), default=None)

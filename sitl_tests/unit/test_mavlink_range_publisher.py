@@ -29,11 +29,11 @@ def none(t_ns: int, orientation: int = 25) -> NoRange:
     return NoRange(t_ns, orientation, Reject.STALE)
 
 
-def seen(t_ns: int, distances: dict[int, float], max_m: float = 100.0) -> ObstacleSectors:
-    known, distance = np.zeros(72, dtype=bool), np.zeros(72)
+def obstacle_sectors(t_ns: int, distances: dict[int, float], max_m: float = 100.0) -> ObstacleSectors:
+    known_mask, distance = np.zeros(72, dtype=bool), np.zeros(72)
     for sector, metres in distances.items():
-        known[sector], distance[sector] = True, metres
-    return ObstacleSectors(t_ns, distance, np.full(72, 0.1), known, np.zeros(72, dtype=bool), 4.0, max_m)
+        known_mask[sector], distance[sector] = True, metres
+    return ObstacleSectors(t_ns, distance, np.full(72, 0.1), known_mask, np.zeros(72, dtype=bool), 4.0, max_m)
 
 
 def sent(message: Any) -> Any:
@@ -66,8 +66,8 @@ def test_a_change_of_trust_goes_out_at_once() -> None:
     time_ms=st.integers(-(2**62), 2**62),
 )
 def test_no_point_lies(rows: list[tuple[float, bool]], min_m: float, max_m: float, time_ms: int) -> None:
-    distance, known = (np.array(column) for column in zip(*rows, strict=True))
-    record = ObstacleSectors(0, distance, np.zeros(72), known, np.zeros(72, dtype=bool), min_m, max_m)
+    distance, known_mask = (np.array(column) for column in zip(*rows, strict=True))
+    record = ObstacleSectors(0, distance, np.zeros(72), known_mask, np.zeros(72, dtype=bool), min_m, max_m)
     points = [sent(message) for message in encode.obstacle_points(record, time_ms)]
     assert 1 <= len(points) <= 72
     assert len({point.time_boot_ms for point in points}) == 1
@@ -81,7 +81,7 @@ def test_no_point_lies(rows: list[tuple[float, bool]], min_m: float, max_m: floa
 
 def test_points_lie_where_the_sectors_are() -> None:
     ahead, right, behind_left = (
-        sent(message) for message in encode.obstacle_points(seen(0, {0: 10.0, 18: 20.0, 45: 30.0}), 7)
+        sent(message) for message in encode.obstacle_points(obstacle_sectors(0, {0: 10.0, 18: 20.0, 45: 30.0}), 7)
     )
     assert (ahead.x, ahead.y) == pytest.approx((10.0, 0.0))
     assert (right.x, right.y) == pytest.approx((0.0, 20.0), abs=1e-5)  # clockwise, y to the right
@@ -92,7 +92,7 @@ def test_stamps_of_points_advance_and_follow_a_restart() -> None:
     outputs = RangePublisher(Settings(obstacles=2), 0)
     stamps = []
     for k, t_ms in enumerate([5000, 5000, 4990, 5200, 30, 130]):
-        (message,) = outputs.messages(seen(t_ms * MS, {}), 0, k * 1000 * MS)
+        (message,) = outputs.messages(obstacle_sectors(t_ms * MS, {}), 0, k * 1000 * MS)
         assert math.hypot(message.x, message.y) > message.max_distance, "a look without obstacles still ends the last"
         stamps.append(message.time_boot_ms)
     assert stamps == [5000, 5001, 5002, 5200, 30, 130]
@@ -101,7 +101,7 @@ def test_stamps_of_points_advance_and_follow_a_restart() -> None:
 def test_obstacles_take_the_form_that_is_set_and_alive_without_range_is_all_unknown() -> None:
     for form, expected in ((0, []), (1, ["OBSTACLE_DISTANCE"]), (2, ["OBSTACLE_DISTANCE_3D"])):
         outputs = RangePublisher(Settings(obstacles=form), 0)
-        assert [m.get_type() for m in outputs.messages(seen(0, {3: 9.0}), 0, 0)] == expected
+        assert [m.get_type() for m in outputs.messages(obstacle_sectors(0, {3: 9.0}), 0, 0)] == expected
         kinds = [m.get_type() for m in outputs.messages(none(0, 0), 0, 1000 * MS)]
         assert kinds == ["DISTANCE_SENSOR", *expected]
     outputs = RangePublisher(Settings(), 0)

@@ -210,9 +210,9 @@ def test_a_rate_too_low_for_the_mode_is_told_with_parameter_and_value(
     keeper.mode(mode_hz)
     keeper.loop_rate(loop_hz)
     _, texts = fly(keeper, vehicle, 0, 50)
-    told = [text for text in texts if f"{mode_hz:.1f} Hz mode needs" in text]
-    assert len(told) == 1
-    assert told[0].endswith(remedy)
+    remedies = [text for text in texts if f"{mode_hz:.1f} Hz mode needs" in text]
+    assert len(remedies) == 1
+    assert remedies[0].endswith(remedy)
     _, texts = fly(keeper, vehicle, 50, 60)
     assert len([text for text in texts if "mode needs" in text]) == 1, "once a minute"
 

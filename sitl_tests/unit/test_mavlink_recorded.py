@@ -33,13 +33,13 @@ def airframe() -> Airframe:
 
 def frames() -> list[tuple[int, bytes]]:
     """Receive time in us and bytes of the first frames of the log (unsigned MAVLink 2 throughout)."""
-    data, at, found = FLIGHT.read_bytes(), 0, []
-    while len(found) < FRAMES:
+    data, at, stamped_frames = FLIGHT.read_bytes(), 0, []
+    while len(stamped_frames) < FRAMES:
         (stamp,) = struct.unpack_from(">Q", data, at)
         length = 12 + data[at + 9]
-        found.append((stamp, data[at + 8 : at + 8 + length]))
+        stamped_frames.append((stamp, data[at + 8 : at + 8 + length]))
         at += 8 + length
-    return found
+    return stamped_frames
 
 
 @pytest.mark.slow

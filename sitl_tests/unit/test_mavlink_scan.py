@@ -52,15 +52,15 @@ def scanner_of(way: str) -> Scanner:
 
 
 def ours(pieces: list[bytes], way: str) -> list[str]:
-    found: list[str] = []
+    descriptions: list[str] = []
     scanner = scanner_of(way)
     for piece in pieces:
         for key, payload in scanner.scan(piece).frames:
             system, component, message = sender(key)
-            found.append(f"{system}/{component} {message} {build_message(message, payload).to_dict()!r}")
+            descriptions.append(f"{system}/{component} {message} {build_message(message, payload).to_dict()!r}")
         assert len(scanner._tail) < 280
-    assert scanner.counters.frames == len(found)
-    return found
+    assert scanner.counters.frames == len(descriptions)
+    return descriptions
 
 
 def described(message: Any) -> str:
@@ -85,7 +85,7 @@ def stepping_oracle(data: bytes) -> list[str]:
     chance (one checksum in 65,536), which pymavlink accepts and cuts.
     """
     parser = ardupilotmega.MAVLink(None)
-    found, at = [], 0
+    descriptions, at = [], 0
     while at < len(data):
         length = {0xFD: 12, 0xFE: 8}.get(data[at])
         if length is None:
@@ -105,11 +105,11 @@ def stepping_oracle(data: bytes) -> list[str]:
             at += 1
             continue
         try:
-            found.append(described(parser.decode(bytearray(data[at : at + length]))))
+            descriptions.append(described(parser.decode(bytearray(data[at : at + length]))))
             at += length
         except ardupilotmega.MAVError:
             at += 1
-    return found
+    return descriptions
 
 
 def split(data: bytes, rng: random.Random) -> list[bytes]:
@@ -119,7 +119,7 @@ def split(data: bytes, rng: random.Random) -> list[bytes]:
 
 def dirty_stream(rng: random.Random, frames: int) -> tuple[bytes, list[bytes]]:
     """Frames with garbage, flipped bits and truncations between; and the frames that were left whole."""
-    stream, whole = bytearray(), []
+    stream, intact = bytearray(), []
     for _ in range(frames):
         piece = random_frame(rng)
         fate = rng.random()
@@ -133,8 +133,8 @@ def dirty_stream(rng: random.Random, frames: int) -> tuple[bytes, list[bytes]]:
             stream += piece[: rng.randrange(len(piece) - 13 * signed(piece))]
         else:
             stream += piece
-            whole.append(piece)
-    return bytes(stream) + FLUSH, whole
+            intact.append(piece)
+    return bytes(stream) + FLUSH, intact
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -155,11 +155,11 @@ def test_a_mavlink_1_frame_longer_than_its_message_is_none(way: str) -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_dirty_stream_loses_no_frame_that_pymavlink_keeps(seed: int, way: str) -> None:
     rng = random.Random(100 + seed)
-    data, whole = dirty_stream(rng, 300)
-    found = ours(split(data, rng), way)
-    assert found == stepping_oracle(data)
-    assert not Counter(parse_buffer(data)) - Counter(found)
-    assert not Counter(text for piece in whole for text in parse_buffer(piece)) - Counter(found)
+    data, intact = dirty_stream(rng, 300)
+    scanned = ours(split(data, rng), way)
+    assert scanned == stepping_oracle(data)
+    assert not Counter(parse_buffer(data)) - Counter(scanned)
+    assert not Counter(text for piece in intact for text in parse_buffer(piece)) - Counter(scanned)
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -75,10 +75,10 @@ def test_a_reboot_is_told_once_and_no_stamp_of_the_other_epoch_passes() -> None:
     after = [record for k in range(10) for record in stream(*three(2_000 + k))]
     restarts = [record for record in after if isinstance(record, ClockRestart)]
     assert [record.clock for record in restarts] == [ClockName.BOOT]
-    told = after.index(restarts[0])
-    assert not batches(after[:told])
-    assert {batch.station for batch in batches(after[told:])} == set(Station)
-    assert all(batch.t_ns.max() < 3 * S for batch in batches(after[told:]))
+    restart_index = after.index(restarts[0])
+    assert not batches(after[:restart_index])
+    assert {batch.station for batch in batches(after[restart_index:])} == set(Station)
+    assert all(batch.t_ns.max() < 3 * S for batch in batches(after[restart_index:]))
 
 
 def test_a_reboot_inside_one_chunk_parts_the_batch() -> None:

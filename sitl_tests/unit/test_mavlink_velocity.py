@@ -24,7 +24,7 @@ def _receiver(vel_acc: int, fix: int = FIXED) -> Any:
     return mavlink.MAVLink_gps_raw_int_message(0, fix, 1, 1, 0, 80, 120, 2200, 0, 14, vel_acc=vel_acc)
 
 
-def _told(messages: list[Any], pause_ms: int = 0) -> VehicleState:
+def _state_after(messages: list[Any], pause_ms: int = 0) -> VehicleState:
     """The state after these messages and, so much later, velocity and attitude."""
     packer, decoder = mavlink.MAVLink(None, 3, 1), Decoder(load_airframe("nadir-2m"), component_id=191)
     beat = mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
@@ -44,7 +44,7 @@ def _told(messages: list[Any], pause_ms: int = 0) -> VehicleState:
 
 def test_the_receivers_accuracy_comes_with_the_velocity() -> None:
     """``vel_acc`` is in mm/s; the newest counts."""
-    assert _told([_receiver(420), _receiver(150)], 1000).velocity_sigma_mps == pytest.approx(0.15)
+    assert _state_after([_receiver(420), _receiver(150)], 1000).velocity_sigma_mps == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize(
@@ -53,16 +53,16 @@ def test_the_receivers_accuracy_comes_with_the_velocity() -> None:
 )
 def test_no_accuracy_without_a_statement_or_a_fix(messages: list[Any], pause_ms: int) -> None:
     """The field is an extension: 0 where it is not sent."""
-    assert _told(messages, pause_ms).velocity_sigma_mps is None
+    assert _state_after(messages, pause_ms).velocity_sigma_mps is None
 
 
 def test_an_accuracy_of_long_ago_is_not_that_of_the_velocity() -> None:
-    assert _told([_receiver(150)], 2900).velocity_sigma_mps == pytest.approx(0.15)
-    assert _told([_receiver(150)], 3100).velocity_sigma_mps is None
+    assert _state_after([_receiver(150)], 2900).velocity_sigma_mps == pytest.approx(0.15)
+    assert _state_after([_receiver(150)], 3100).velocity_sigma_mps is None
 
 
 def test_a_recording_from_before_the_accuracy_is_read() -> None:
-    state = _told([_receiver(150)])
+    state = _state_after([_receiver(150)])
     assert loads(VehicleState, dumps(VehicleState, state)) == state
     before = dumps(VehicleState, state).replace(b', "velocity_sigma_mps": 0.15', b"")
     assert b"sigma" not in before

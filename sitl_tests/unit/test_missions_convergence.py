@@ -31,31 +31,31 @@ def groups(toe_rad: float, scale: float, distances_m: tuple[float, ...]) -> list
 
 @given(toe=st.floats(-0.01, 0.01), near=st.floats(10.0, 40.0), ratio=st.floats(1.5, 4.0))
 def test_an_offset_alone_is_found_and_no_scale_is_invented(toe: float, near: float, ratio: float) -> None:
-    found = estimate(groups(toe, 1.0, (near, near * ratio)), BASE_M)
-    assert found.toe_rad == pytest.approx(toe, abs=1e-9)
-    assert found.scale == pytest.approx(1.0, abs=1e-6)
-    assert not found.scale_matters
+    offset = estimate(groups(toe, 1.0, (near, near * ratio)), BASE_M)
+    assert offset.toe_rad == pytest.approx(toe, abs=1e-9)
+    assert offset.scale == pytest.approx(1.0, abs=1e-6)
+    assert not offset.scale_matters
 
 
 @given(toe=st.floats(-0.005, 0.005), scale=st.sampled_from([0.9, 0.95, 1.06, 1.12]))
 def test_a_scale_is_told_apart_from_an_offset_at_several_distances(toe: float, scale: float) -> None:
-    found = estimate(groups(toe, scale, (20.0, 40.0, 80.0)), BASE_M)
-    assert found.scale_matters
-    assert found.scale == pytest.approx(scale, rel=1e-6)
-    assert found.toe_rad * found.scale == pytest.approx(toe, abs=1e-9)
+    offset = estimate(groups(toe, scale, (20.0, 40.0, 80.0)), BASE_M)
+    assert offset.scale_matters
+    assert offset.scale == pytest.approx(scale, rel=1e-6)
+    assert offset.toe_rad * offset.scale == pytest.approx(toe, abs=1e-9)
 
 
 def test_one_distance_says_nothing_of_the_scale() -> None:
-    found = estimate(groups(0.004, 1.0, (60.0, 70.0)), BASE_M)
-    assert math.isinf(found.scale_sigma)
-    assert not found.scale_matters
-    assert found.toe_rad == pytest.approx(0.004, rel=1e-6)
+    offset = estimate(groups(0.004, 1.0, (60.0, 70.0)), BASE_M)
+    assert math.isinf(offset.scale_sigma)
+    assert not offset.scale_matters
+    assert offset.toe_rad == pytest.approx(0.004, rel=1e-6)
 
 
 def test_the_paper_s_board_reads_short_when_the_axes_diverge() -> None:
     """4.478 mrad turn 60 m into 52.8 m."""
-    found = estimate([Group(60.0, 0.1, 52.83, 0.1, 100)], 1.98)
-    assert found.toe_rad * 1e3 == pytest.approx(4.478, abs=0.02)
+    offset = estimate([Group(60.0, 0.1, 52.83, 0.1, 100)], 1.98)
+    assert offset.toe_rad * 1e3 == pytest.approx(4.478, abs=0.02)
 
 
 def test_the_sigma_is_that_of_the_errors() -> None:
@@ -68,16 +68,16 @@ def test_the_sigma_is_that_of_the_errors() -> None:
             known_m = z + rng.normal(0.0, 0.2)  # the distance that is believed
             samples = read(z, toe) + rng.normal(0.0, 0.006 * z, 60)
             entries.append(group([(known_m, 0.2)] * 60, samples.tolist()))
-        found = estimate(entries, BASE_M)
-        ratios.append((found.toe_rad - toe) / found.sigma_rad)
+        offset = estimate(entries, BASE_M)
+        ratios.append((offset.toe_rad - toe) / offset.sigma_rad)
     # medians lose a quarter against means; a rms over 400 trials is known to 3.5 %
     assert 0.85 < float(np.std(ratios)) < 1.3
 
 
 def test_a_group_takes_no_notice_of_a_few_strays() -> None:
-    known = [(50.0, 0.1)] * 40
-    found = group(known, [50.5] * 36 + [20.0, 180.0, 25.0, 190.0])
-    assert found.read_m == pytest.approx(50.5)
+    references = [(50.0, 0.1)] * 40
+    board = group(references, [50.5] * 36 + [20.0, 180.0, 25.0, 190.0])
+    assert board.read_m == pytest.approx(50.5)
 
 
 # ------------------------------------------------------------------------------------------ what to write

@@ -81,9 +81,9 @@ def test_what_the_supplied_airframes_believe_lies_within_two_sigma_of_the_draft(
         (draft.antisymmetric.frequency_hz, supplied.antisymmetric.frequency_hz),
         (draft.symmetric.damping, supplied.symmetric.damping),
     ]
-    for guess, known in pairs:
-        assert abs(guess.value - known.value) <= 2.0 * guess.sigma
-        assert guess.sigma >= known.sigma, "nobody who measured nothing knows it better"
+    for guess, belief in pairs:
+        assert abs(guess.value - belief.value) <= 2.0 * guess.sigma
+        assert guess.sigma >= belief.sigma, "nobody who measured nothing knows it better"
 
 
 numbers = st.fixed_dictionaries(

@@ -176,9 +176,16 @@ def test_a_shot_becomes_a_pair_whose_exposure_follows_it() -> None:
         trigger.close()
         pair.close()
     assert [shot.plan_id for shot in shots] == [0, 1, 2, 3]
-    assert [one.left.sequence for one in made] == [one.right.sequence for one in made] == [0, 1, 2, 3]
-    assert [int(one.right.image[0, 0]) - int(one.left.image[0, 0]) for one in made] == [100] * 4
-    latency_s = [1e-9 * (one.left.mid_exposure_ns - shot.fired_host_ns) for one, shot in zip(made, shots, strict=True)]
+    assert (
+        [frame_pair.left.sequence for frame_pair in made]
+        == [frame_pair.right.sequence for frame_pair in made]
+        == [0, 1, 2, 3]
+    )
+    assert [int(frame_pair.right.image[0, 0]) - int(frame_pair.left.image[0, 0]) for frame_pair in made] == [100] * 4
+    latency_s = [
+        1e-9 * (frame_pair.left.mid_exposure_ns - shot.fired_host_ns)
+        for frame_pair, shot in zip(made, shots, strict=True)
+    ]
     assert all(0.0 < late < PATIENCE_S for late in latency_s)
 
 

@@ -87,11 +87,11 @@ def test_every_implementation_that_the_audit_names_exists() -> None:
         names = path.split(".")
         for depth in range(len(names), 0, -1):
             try:
-                found: object = importlib.import_module(".".join(["companion", *names[:depth]]))
+                implementation: object = importlib.import_module(".".join(["companion", *names[:depth]]))
             except ModuleNotFoundError:
                 continue
             for name in names[depth:]:
-                parent, found = found, getattr(found, name)
+                parent, implementation = implementation, getattr(implementation, name)
             assert all(hasattr(parent, name) for name in further)
             break
         else:
@@ -118,9 +118,9 @@ def test_every_implementation_that_the_audit_names_exists() -> None:
     ],
 )
 def test_each_audited_misprint_is_listed_with_its_number(where: str, wanted: str) -> None:
-    found = [entry for entry in misprints.misprints() if entry.where == where]
-    assert len(found) == 1
-    assert wanted in found[0].instead + found[0].shown_by
+    misprint_entries = [entry for entry in misprints.misprints() if entry.where == where]
+    assert len(misprint_entries) == 1
+    assert wanted in misprint_entries[0].instead + misprint_entries[0].shown_by
 
 
 def test_table_1_s_repairs_are_factors_of_the_print() -> None:
@@ -138,18 +138,18 @@ def test_table_1_s_repairs_are_factors_of_the_print() -> None:
 def test_errors_of_a_worked_example() -> None:
     """10 m read as 8 and as 12.5 m, one beyond infinity, one without reading."""
     readings = [TrueReading(1 / 8, 0.1), TrueReading(1 / 12.5, 0.1), TrueReading(-0.02, 0.1), None]
-    found = errors(readings)
-    assert (found["n"], found["without"], found["beyond_infinity"]) == (3, 1, 1)
-    assert found["rms_percent"] == pytest.approx(math.sqrt((20**2 + 25**2) / 2))
-    assert found["median_range_m"] == pytest.approx((8 + 12.5) / 2)
-    assert found["inverse_rms_pm"] == pytest.approx(math.sqrt((0.025**2 + 0.02**2 + 0.12**2) / 3))
+    scores = errors(readings)
+    assert (scores["n"], scores["without"], scores["beyond_infinity"]) == (3, 1, 1)
+    assert scores["rms_percent"] == pytest.approx(math.sqrt((20**2 + 25**2) / 2))
+    assert scores["median_range_m"] == pytest.approx((8 + 12.5) / 2)
+    assert scores["inverse_rms_pm"] == pytest.approx(math.sqrt((0.025**2 + 0.02**2 + 0.12**2) / 3))
 
 
 def test_scores_of_nothing_are_not_numbers() -> None:
-    found = errors([None])
-    assert math.isnan(found["rms_percent"])
+    scores = errors([None])
+    assert math.isnan(scores["rms_percent"])
     assert math.isnan(rms([]))
-    assert percent(found["rms_percent"]) == "-"
+    assert percent(scores["rms_percent"]) == "-"
 
 
 @pytest.mark.parametrize("phase_deg", [0.0, 12.0, 45.0, 80.0, 90.0])
@@ -206,10 +206,10 @@ def test_keys_are_unique_and_no_experiment_is_left_out_of_a_section() -> None:
     assert {trial.of_paper for trial in trials()} == {True, False}
 
 
-@pytest.mark.parametrize("given", ["five", "5;6", "", "5,-1"])
-def test_seeds_that_are_none_are_wrong_usage(given: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("seeds", ["five", "5;6", "", "5,-1"])
+def test_seeds_that_are_none_are_wrong_usage(seeds: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
-        main(["paper", "--seeds", given])
+        main(["paper", "--seeds", seeds])
     assert stopped.value.code == 2
     assert "seed" in capsys.readouterr().err
 

@@ -31,21 +31,21 @@ def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Sco
     true = 1.0 / trial.distance_m
     error = 1e-3 * toe_mrad / baseline_m
 
-    def reading(share: float) -> TrueReading:
-        return TrueReading(true + share * error, true)
+    def reading(error_ratio: float) -> TrueReading:
+        return TrueReading(true + error_ratio * error, true)
 
-    whole: Readings = {
+    all_features: Readings = {
         "rigid": reading(1.0),
         "in_trim": reading(1.0),
         "corrected": reading(LEFT),
         "published": reading(LEFT / 2),
         "oracle": reading(0.0),
     }
-    upper = whole if trial.airframe == "forward-2m" else {}
+    upper = all_features if trial.airframe == "forward-2m" else {}
     half = 0.5e-3 * toe_mrad
     reject = None if planned else Reject.SIGMA_TOO_LARGE
     blur_px, phase_deg = (0.05, 2.0) if planned else (0.2, 45.0)
-    return ScoredShot(planned, whole, upper, reject, (half, half), blur_px, phase_deg, SIGMA_M)
+    return ScoredShot(planned, all_features, upper, reject, (half, half), blur_px, phase_deg, SIGMA_M)
 
 
 def outcome(trial: Trial) -> Outcome:
@@ -111,18 +111,18 @@ def test_dots_and_bars_of_the_experiments_carry_their_sigma(figures: dict[str, A
 
 def test_what_is_removed_is_what_the_correction_takes_out(results: Results) -> None:
     for key in results.outcomes:
-        found = results.randoms[key]
-        assert found["removed"] == pytest.approx(1 - LEFT)
-        mean, spread = toe_error_mrad(results.outcomes[key], found["rigid"])
+        scores = results.randoms[key]
+        assert scores["removed"] == pytest.approx(1 - LEFT)
+        mean, spread = toe_error_mrad(results.outcomes[key], scores["rigid"])
         assert mean == pytest.approx(0.0, abs=1e-9)
         assert spread == pytest.approx(np.sqrt((16 + 9) / 2))
 
 
 def test_diverging_shots_read_short_by_the_closed_form(sections: list[Section]) -> None:
-    found = next(section for section in sections if section.key == "experiments").data["diverging_ranges_m"]
+    ranges_m = next(section for section in sections if section.key == "experiments").data["diverging_ranges_m"]
     inverse = 1 / 60 + np.median([4e-3, 3e-3]) / 1.98
-    assert found["wing_60m"]["rigid"] == pytest.approx(1 / inverse)
-    assert found["wing_60m"]["oracle"] == pytest.approx(60.0)
+    assert ranges_m["wing_60m"]["rigid"] == pytest.approx(1 / inverse)
+    assert ranges_m["wing_60m"]["oracle"] == pytest.approx(60.0)
 
 
 def test_one_tip_sees_symmetric_bending_rightly_and_antisymmetric_doubly(results: Results) -> None:
@@ -163,17 +163,17 @@ def test_the_first_page_claims_only_what_the_run_gives(results: Results) -> None
 
 def test_the_first_page_says_what_is_worse(results: Results) -> None:
     """The cone's ~0 is worse than any residual; 60 m is not; a correction that harms and a mute draw are told."""
-    found = digest.weak_points(results)
-    assert "wing_cone" in found["than_printed"]
-    assert "wing_60m" not in found["than_printed"]
-    assert found["than_rigid"] == found["not_served"] == []
+    weak_points = digest.weak_points(results)
+    assert "wing_cone" in weak_points["than_printed"]
+    assert "wing_60m" not in weak_points["than_printed"]
+    assert weak_points["than_rigid"] == weak_points["not_served"] == []
     lift = results.randoms["lift"]
     harmed = {**results.randoms, "lift": {**lift, "corrected": {**lift["rigid"], "inverse_rms_pm": 1.0}}}
     draws = {key: {6: results.peaks[key], 7: results.peaks[EMPTY]} for key in ("boom_1m", "wing_60m")}
     worse = Results(5, results.outcomes, results.peaks, harmed, draws)
-    found = digest.weak_points(worse)
-    assert found["than_rigid"] == ["lift"]
-    assert found["not_served"] == ["boom_1m, seed 7", "wing_60m, seed 7"]
+    weak_points = digest.weak_points(worse)
+    assert weak_points["than_rigid"] == ["lift"]
+    assert weak_points["not_served"] == ["boom_1m, seed 7", "wing_60m, seed 7"]
     page = digest.section(worse, {"share_of_slope_variance": 0.9999})
     assert "seeds 5, 6, 7" in page.findings[0]
     assert "1 of 3 seeds without a shot at a peak" in page.findings[0]
@@ -208,8 +208,8 @@ def test_the_sentence_of_the_readme_is_in_the_numbers_with_the_ranges_that_it_te
     section = digest.section(
         Results(5, results.outcomes, results.peaks, results.randoms, draws), {"share_of_slope_variance": 0.9999}
     )
-    told = json.loads((report.write([section], tmp_path)[2]).read_text(encoding="utf-8"))["digest"]
-    over = told["over_seeds"]
+    numbers = json.loads((report.write([section], tmp_path)[2]).read_text(encoding="utf-8"))["digest"]
+    over = numbers["over_seeds"]
     assert over["seeds"] == [5, 6]
     assert over["wing_60m"]["removed"] == pytest.approx([0.611, 1 - LEFT])
     for key in ("boom_1m", "wing_60m"):
@@ -218,9 +218,9 @@ def test_the_sentence_of_the_readme_is_in_the_numbers_with_the_ranges_that_it_te
         for way in ("rigid", "corrected", "published_trusted"):
             low, high = over[key][f"{way}_percent"]
             assert 0 < low <= high
-    assert told["sentence"].startswith("seeds 5, 6: ")
-    assert "at 60 m 61 to 95 %" in told["sentence"]
-    assert told["sentence"] in section.findings[0]
+    assert numbers["sentence"].startswith("seeds 5, 6: ")
+    assert "at 60 m 61 to 95 %" in numbers["sentence"]
+    assert numbers["sentence"] in section.findings[0]
 
 
 def test_the_first_page_tells_what_is_published(results: Results) -> None:

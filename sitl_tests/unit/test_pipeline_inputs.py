@@ -100,7 +100,7 @@ def test_one_node_without_sync_is_left_out_and_the_heartbeat_says_which() -> Non
 def rebooted(at: float, silence_s: float) -> Iterator[Record]:
     """The autopilot restarts: silence, then its stamps and its TIMESYNC answers count from zero again."""
     lost_ns = round((at + silence_s) * S)
-    told = False
+    announced = False
     for record in inputs(20.0):
         arrival = at_s(record)
         is_root = isinstance(record, ImuBatch) and record.station is Station.ROOT
@@ -108,8 +108,8 @@ def rebooted(at: float, silence_s: float) -> Iterator[Record]:
         if arrival < at or not (is_root or is_boot):
             yield record
         elif arrival >= at + silence_s:
-            if not told:
-                told = True
+            if not announced:
+                announced = True
                 yield ClockRestart(ClockName.BOOT, HOST_EPOCH_NS + round(arrival * S))
             if isinstance(record, ImuBatch):
                 keep = record.t_ns >= lost_ns
@@ -207,22 +207,22 @@ def test_shots_that_bring_no_images_are_told_until_one_comes() -> None:
                 yield record
 
     driven = run(unseen())
-    told = "shots bring no image pairs"
+    complaint = "shots bring no image pairs"
     blind = driven.of(ServiceStatus, 2.0, 4.0)
     assert blind
-    assert all(status.health is Health.CRITICAL and told in status.reason for status in blind)
-    assert any(told in notice.text for notice in driven.of(Notice, 2.0, 4.0))
-    assert not any(told in status.reason for status in driven.of(ServiceStatus, 4.2))
-    assert not any(told in notice.text for notice in driven.of(Notice, 4.2))
+    assert all(status.health is Health.CRITICAL and complaint in status.reason for status in blind)
+    assert any(complaint in notice.text for notice in driven.of(Notice, 2.0, 4.0))
+    assert not any(complaint in status.reason for status in driven.of(ServiceStatus, 4.2))
+    assert not any(complaint in notice.text for notice in driven.of(Notice, 4.2))
 
 
 @pytest.mark.slow
 def test_a_changed_parameter_is_in_force_from_that_instant() -> None:
     def changed() -> Iterator[Record]:
-        told = False
+        announced = False
         for record in inputs(LEARNED_S):
-            if at_s(record) >= 12.5 and not told:
-                told = True
+            if at_s(record) >= 12.5 and not announced:
+                announced = True
                 yield ParameterChange("RNG_MAX", 20.0, HOST_EPOCH_NS + 12_500 * MS)
                 yield ParameterChange("OUT_DEBUG", 0.0, HOST_EPOCH_NS + 12_500 * MS)
                 yield ParameterChange("TRG_POLICY", 2.0, HOST_EPOCH_NS + 12_500 * MS)

@@ -110,20 +110,20 @@ def test_what_two_ranges_share_is_no_reason_for_a_jump(lasting_m: float, trusted
     last_sigma_m=st.floats(0.01, 2.0),
     slack_mps=st.floats(0.0, 20.0),
     step_ns=st.integers(1 * MS, 1_999 * MS),
-    share=st.floats(0.0, 2.0),
+    jump_ratio=st.floats(0.0, 2.0),
 )
 def test_the_allowed_jump_is_four_sigma_of_the_difference_and_the_slack(
-    sigma_m: float, last_sigma_m: float, slack_mps: float, step_ns: int, share: float
+    sigma_m: float, last_sigma_m: float, slack_mps: float, step_ns: int, jump_ratio: float
 ) -> None:
     allowed_m = 4.0 * (sigma_m**2 + last_sigma_m**2) ** 0.5 + slack_mps * step_ns * 1e-9
-    if abs(share - 1.0) < 1e-6:
+    if abs(jump_ratio - 1.0) < 1e-6:
         return
     gate = RangeGate(1.0)
     for k in range(3):
         gate.judge(measured(40.0, S + k, last_sigma_m), 0.0, slack_mps)
-    answer = gate.judge(measured(40.0 + share * allowed_m, S + 2 + step_ns, sigma_m), 0.0, slack_mps)
-    assert answer.trusted == (share < 1.0)
-    assert answer.reject is (None if share < 1.0 else Reject.INCONSISTENT)
+    answer = gate.judge(measured(40.0 + jump_ratio * allowed_m, S + 2 + step_ns, sigma_m), 0.0, slack_mps)
+    assert answer.trusted == (jump_ratio < 1.0)
+    assert answer.reject is (None if jump_ratio < 1.0 else Reject.INCONSISTENT)
 
 
 @pytest.mark.parametrize("climb_mps", [-6.0, 6.0])
@@ -228,14 +228,14 @@ def test_what_was_said_of_a_range_long_ago_is_not_said_of_now(good: bool) -> Non
     assert reasons(scheduler, Validity.TRACKING, range(14, 16)) == [Reject.NO_PAIRS] * 2
 
 
-@pytest.mark.parametrize(("rms_mm", "told"), [(4.0, "tracking"), (0.05, "swing within its uncertainty")])
-def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm: float, told: str) -> None:
+@pytest.mark.parametrize(("rms_mm", "text"), [(4.0, "tracking"), (0.05, "swing within its uncertainty")])
+def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm: float, text: str) -> None:
     state = start(load_airframe("nadir-2m"), Settings())
     unsure = dataclasses.replace(mode(Validity.TRACKING).symmetric, rms_m=1e-3 * rms_mm, amplitude_sigma_m=2e-4)
     described = dataclasses.replace(mode(Validity.TRACKING), symmetric=unsure)
     state.validity = Validity.TRACKING
     state.tracker.describe = lambda: described  # type: ignore[method-assign]
-    assert motion_text(state) == told
+    assert motion_text(state) == text
 
 
 def test_a_pair_that_looks_ahead_takes_the_next_obstacle_for_no_knock() -> None:

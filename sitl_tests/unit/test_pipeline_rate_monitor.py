@@ -18,22 +18,22 @@ WRONG = dataclasses.replace(AIRFRAME, left=dataclasses.replace(AIRFRAME.left, ra
 
 def settled_on(t_s: np.ndarray, rng: np.random.Generator | None = None, loss: float = 0.0) -> list[float]:
     """Rates that a left node's samples at these instants would have the tracker adopt."""
-    delivery, found = StreamRateMonitor(), []
-    for part in np.array_split(t_s, max(len(t_s) // 20, 1)):
-        kept = part if rng is None else part[rng.random(len(part)) >= loss]
-        if len(kept):
-            t_ns = np.round(kept * S).astype(np.int64)
+    delivery, rates_hz = StreamRateMonitor(), []
+    for window_s in np.array_split(t_s, max(len(t_s) // 20, 1)):
+        received_s = window_s if rng is None else window_s[rng.random(len(window_s)) >= loss]
+        if len(received_s):
+            t_ns = np.round(received_s * S).astype(np.int64)
             values = np.zeros((len(t_ns), 6))
             delivery.note(ImuBatch(Station.LEFT, ClockName.NODE_LEFT, t_ns, values, Axis.ALL, int(t_ns[-1])))
-        found += [rate for _, rate in delivery.changed(AIRFRAME)]
-    return found
+        rates_hz += [rate for _, rate in delivery.changed(AIRFRAME)]
+    return rates_hz
 
 
 @pytest.mark.parametrize("rate_hz", [40.0, 250.0, 2000.0])
 def test_another_rate_is_adopted_once_it_has_settled(rate_hz: float) -> None:
-    found = settled_on(np.arange(0.0, 9.0, 1.0 / rate_hz))
-    assert found
-    assert found[0] == pytest.approx(rate_hz, rel=0.02)
+    rates_hz = settled_on(np.arange(0.0, 9.0, 1.0 / rate_hz))
+    assert rates_hz
+    assert rates_hz[0] == pytest.approx(rate_hz, rel=0.02)
 
 
 def test_the_believed_rate_stays_under_loss_jitter_and_silence() -> None:

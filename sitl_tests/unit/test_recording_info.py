@@ -70,8 +70,8 @@ def test_the_screen_names_what_is_there_and_what_was_changed(
 
 
 def test_a_cut_recording_says_how_far_it_goes(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    whole = recorded.read_bytes()
-    recorded.write_bytes(whole[: len(whole) * 9 // 10])
+    all_bytes = recorded.read_bytes()
+    recorded.write_bytes(all_bytes[: len(all_bytes) * 9 // 10])
     code = main(["info", str(recorded)])
     out = capsys.readouterr()
     assert code in (0, 3)

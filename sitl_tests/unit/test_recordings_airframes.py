@@ -137,6 +137,6 @@ def test_the_readmes_csv_example_and_its_error_are_true(tmp_path: Path) -> None:
 def test_an_airframe_with_numpy_s_floats_is_written_as_numbers() -> None:
     """As an identification leaves them."""
     base = load_airframe("nadir-2m")
-    found = dataclasses.replace(base.wing, trim_bend_m=Uncertain(np.float64(0.5), np.float64(0.1)))
-    written = dump_airframe(dataclasses.replace(base, wing=found))
+    wing = dataclasses.replace(base.wing, trim_bend_m=Uncertain(np.float64(0.5), np.float64(0.1)))
+    written = dump_airframe(dataclasses.replace(base, wing=wing))
     assert parse_airframe(written, "here").wing.trim_bend_m == Uncertain(0.5, 0.1)

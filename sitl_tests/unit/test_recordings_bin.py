@@ -67,11 +67,11 @@ def test_raw_imus_become_stations_without_the_mavlink_low_pass(tmp_path: Path) -
     assert isinstance(recording, BinRecording)
     batches = [entry for entry in recording.records() if isinstance(entry, ImuBatch)]
     for station in Station:
-        mine = [batch for batch in batches if batch.station is station]
-        assert np.concatenate([b.t_ns for b in mine]).tolist() == [1_000_000 * (1 + i) for i in range(100)]
-        z = np.concatenate([b.values for b in mine])[:, 2]
+        station_batches = [batch for batch in batches if batch.station is station]
+        assert np.concatenate([b.t_ns for b in station_batches]).tolist() == [1_000_000 * (1 + i) for i in range(100)]
+        z = np.concatenate([b.values for b in station_batches])[:, 2]
         np.testing.assert_allclose(z, np.float32([-9.8 - station - 0.01 * i for i in range(100)]), rtol=1e-6)
-        assert {batch.axes for batch in mine} == {Axis.Z}
+        assert {batch.axes for batch in station_batches} == {Axis.Z}
         sensor = recording.airframe.sensor(station)
         assert (sensor.lowpass_accel_hz, sensor.source.stamp_offset_s) == (0.0, 0.0)
         assert sensor.rate_hz == pytest.approx(1000.0)
@@ -154,8 +154,8 @@ def test_a_cut_log_gives_every_whole_message(cut: int, tmp_path: Path) -> None:
     preamble = len(Log("PARM", "ACC", "GYR", "ATT", "ARSP").data) + 2 * 35 + 16
     cut = max(cut, preamble + 6 * size)
     log = DataflashLog(write(tmp_path, data[:cut]))
-    whole = (min(cut, len(data)) - preamble) // size
-    assert log.counts["ACC"] + log.counts["GYR"] == min(whole, 180)
+    message_count = (min(cut, len(data)) - preamble) // size
+    assert log.counts["ACC"] + log.counts["GYR"] == min(message_count, 180)
     assert log.skipped_bytes == 0
 
 

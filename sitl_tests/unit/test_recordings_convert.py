@@ -66,8 +66,8 @@ def test_pymavlink_reads_every_frame_of_the_log_at_its_receive_time(flown: Path,
         stamps.append(message._timestamp)
     parser = mavutil.mavlink.MAVLink(None)
     parser.robust_parsing = True
-    whole = b"".join(chunk.data for chunk in chunks if chunk.link < 128)
-    received = [entry for entry in parser.parse_buffer(whole) or [] if entry.get_type() != "BAD_DATA"]
+    link_bytes = b"".join(chunk.data for chunk in chunks if chunk.link < 128)
+    received = [entry for entry in parser.parse_buffer(link_bytes) or [] if entry.get_type() != "BAD_DATA"]
     assert len(stamps) >= len(received) > 1000
     assert stamps[-1] - stamps[0] == pytest.approx((expected[-1] - expected[0]) * 1e-9, abs=0.02)
 

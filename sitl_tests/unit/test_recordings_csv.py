@@ -31,8 +31,8 @@ def read(tmp_path: Path, **files: str) -> CsvRecording:
 
 
 def stream(recording: CsvRecording, station: Station) -> InertialStream:
-    (found,) = [entry for entry in recording.streams if entry.station is station]
-    return found
+    (station_stream,) = [entry for entry in recording.streams if entry.station is station]
+    return station_stream
 
 
 def test_units_become_si_and_every_column_finds_its_axis(tmp_path: Path) -> None:
@@ -103,9 +103,9 @@ def test_covariates_keep_their_unit_and_inputs_become_si(tmp_path: Path) -> None
     assert recording.covariates["airspeed_kmh"].values[0] == 36
     assert recording.covariates["rpm"].values[0] == 5000
     assert recording.covariates["input_mps2"].values[0] == pytest.approx(19.6133)
-    told = [notice.text for notice in recording.notices if "no unit" in notice.text]
-    assert len(told) == 1
-    assert "'roller'" in told[0]
+    notice_texts = [notice.text for notice in recording.notices if "no unit" in notice.text]
+    assert len(notice_texts) == 1
+    assert "'roller'" in notice_texts[0]
 
 
 def test_the_range_table(tmp_path: Path) -> None:
@@ -124,9 +124,9 @@ def test_gaps_are_allowed_and_told(tmp_path: Path) -> None:
     rows = [i * 0.001 for i in range(100) if not 40 <= i < 60]
     recording = read(tmp_path, accel="t_s,left_z_mps2\n" + "".join(f"{t:.6f},1\n" for t in rows))
     assert stream(recording, Station.LEFT).t_ns.size == 80
-    (told,) = [notice.text for notice in recording.notices if " longer than " in notice.text]
-    assert "left: 1 gap longer than 2.5 ms" in told
-    assert "21.0 ms" in told
+    (gap_notice,) = [notice.text for notice in recording.notices if " longer than " in notice.text]
+    assert "left: 1 gap longer than 2.5 ms" in gap_notice
+    assert "21.0 ms" in gap_notice
 
 
 GOOD = "t_s,left_z_mps2,right_z_mps2\n0,1,2\n0.001,1,2\n0.002,1,2\n"
@@ -164,11 +164,11 @@ def test_whatever_is_wrong_is_named_with_file_and_line(tmp_path: Path, accel: st
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize(("again", "told"), [("0.001", "repeat the one before"), ("0.0005", "go back")])
-def test_stamps_that_repeat_or_go_back_are_read_and_told(tmp_path: Path, again: str, told: str) -> None:
+@pytest.mark.parametrize(("again", "complaint"), [("0.001", "repeat the one before"), ("0.0005", "go back")])
+def test_stamps_that_repeat_or_go_back_are_read_and_told(tmp_path: Path, again: str, complaint: str) -> None:
     recording = read(tmp_path, accel=GOOD.replace("0.002,", f"{again},"))
     assert sum(len(batch.t_ns) for batch in recording.records() if batch.station is Station.LEFT) == 3
-    assert any(f"1 of 3 stamps {told}" in notice.text for notice in recording.notices)
+    assert any(f"1 of 3 stamps {complaint}" in notice.text for notice in recording.notices)
 
 
 def test_errors_in_the_other_files_name_them(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_text_table_with_a_foreign_header_is_read_in_si(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("rows", "line", "told"),
+    ("rows", "line", "complaint"),
     [
         ("0\tx\t1\n1\tx\thigh\n", 6, "column 'Acc L' (left_z_mps2, unit V): 'high' is not a number"),
         ("0\tx\t1\n1\tx\tnan\n", 6, "column 'Acc L' (left_z_mps2, unit V): 'nan' is not a finite number"),
@@ -51,27 +51,27 @@ def test_a_text_table_with_a_foreign_header_is_read_in_si(tmp_path: Path) -> Non
     ],
 )
 def test_what_is_wrong_in_a_table_is_named_with_line_column_and_unit(
-    tmp_path: Path, rows: str, line: int, told: str
+    tmp_path: Path, rows: str, line: int, complaint: str
 ) -> None:
     path = table(tmp_path, f"rig 7\nno date\nTime\tOther\tAcc L\n\n{rows}")
     with pytest.raises(TableError) as error:
         read_mapped(path, parse_mapping(VOLTS, "lab.toml"))
     assert f"{path}, line {line}: " in str(error.value)
-    assert told in str(error.value)
+    assert complaint in str(error.value)
 
 
 def test_a_kind_of_test_that_nobody_diagnoses_is_refused_with_the_kinds_that_are() -> None:
     mapping = parse_mapping(VOLTS.replace("[table]", "test = 'walk'\n[table]"), "lab.toml")
     with pytest.raises(ConfigError, match=r"^lab\.toml: 'test' must be one of flight, ringing, .*, not 'walk'$"):
-        measured_structures.execute(argparse.Namespace(), mapping, lambda _text, _share: None)
+        measured_structures.execute(argparse.Namespace(), mapping, lambda _text, _fraction: None)
 
 
 def test_rows_out_of_order_are_sorted_for_a_bench_test_and_told(tmp_path: Path) -> None:
     path = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n2\tx\t3\n1\tx\t2\n1\tx\t9\n")
-    found = read_mapped(path, parse_mapping(VOLTS, "lab.toml")).increasing()
-    assert np.diff(found.t_s).min() > 0.0
-    assert np.diff(found.channels["left_z_mps2"], n=2) == pytest.approx([0.0], abs=1e-12)  # 1, 2, 3 volts
-    assert "4 rows out of order" in found.notes[-1]
+    ordered = read_mapped(path, parse_mapping(VOLTS, "lab.toml")).increasing()
+    assert np.diff(ordered.t_s).min() > 0.0
+    assert np.diff(ordered.channels["left_z_mps2"], n=2) == pytest.approx([0.0], abs=1e-12)  # 1, 2, 3 volts
+    assert "4 rows out of order" in ordered.notes[-1]
 
 
 def test_a_missing_column_is_named_with_its_unit_and_with_what_is_there(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "complaint"),
     [
         (('unit = "ms"', 'unit = "V"'), "'columns.Time.scale' is missing: nothing is known that makes 's' of unit 'V'"),
         (("scale = -2.0, ", ""), "'columns.Acc L.scale' is missing"),
@@ -163,13 +163,13 @@ def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) ->
         (("[table]", "band_hz = [5, 2]\n[table]"), "'band_hz' must be two frequencies"),
     ],
 )
-def test_what_is_wrong_in_a_mapping_is_named_with_file_and_key(change: tuple[str, str], told: str) -> None:
+def test_what_is_wrong_in_a_mapping_is_named_with_file_and_key(change: tuple[str, str], complaint: str) -> None:
     text = VOLTS.replace(*change)
     assert text != VOLTS
     with pytest.raises(ConfigError) as error:
         parse_mapping(text, "lab.toml")
     assert str(error.value).startswith("lab.toml: ")
-    assert told in str(error.value)
+    assert complaint in str(error.value)
 
 
 def test_an_unknown_mapping_lists_the_known_ones() -> None:
@@ -210,8 +210,8 @@ def test_the_laboratory_table_becomes_a_recording_with_ranges_where_there_are_an
 
 @given(st.sampled_from([("g", "mps2"), ("mg", "g"), ("in", "m"), ("ms", "s"), ("deg", "rad"), ("lbf", "n")]))
 def test_conversions_undo_each_other(units: tuple[str, str]) -> None:
-    there, back = conversion(*units), conversion(units[1], units[0])
-    assert there is not None
+    forward, back = conversion(*units), conversion(units[1], units[0])
+    assert forward is not None
     assert back is not None
-    assert there * back == pytest.approx(1.0)
+    assert forward * back == pytest.approx(1.0)
     assert conversion(units[0], "k") is None

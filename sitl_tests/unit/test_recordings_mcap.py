@@ -160,10 +160,10 @@ def test_every_possible_cut_is_read_or_refused_in_words(tmp_path: Path) -> None:
     path, short = tmp_path / "whole.mcap", tmp_path / "short.mcap"
     records = seconds_of_flight(2)
     write(path, records)
-    whole = path.read_bytes()
+    all_bytes = path.read_bytes()
     counts = []
-    for size in range(0, len(whole), 97):
-        short.write_bytes(whole[:size])
+    for size in range(0, len(all_bytes), 97):
+        short.write_bytes(all_bytes[:size])
         if counts:
             counts.append(len(list(McapRecording(short).records())))
         else:
@@ -194,7 +194,7 @@ def test_a_damaged_chunk_is_left_out_and_named(tmp_path: Path) -> None:
     records = seconds_of_flight(5)
     write(path, records)
     data = bytearray(path.read_bytes())
-    segment = [part for part in McapRecording(path)._segments if part.opcode == 6][2]
+    segment = [mcap_record for mcap_record in McapRecording(path)._segments if mcap_record.opcode == 6][2]
     data[segment.offset + segment.length // 2] ^= 0xFF
     path.write_bytes(bytes(data))
     recording = McapRecording(path)
@@ -239,7 +239,7 @@ def test_jpeg_images_are_said_to_be_lossy(tmp_path: Path) -> None:
 def test_an_independent_reader_sees_messages_that_its_schemas_describe(tmp_path: Path) -> None:
     records = [*seconds_of_flight(2), FramePair(1, frame(Side.LEFT, 1), frame(Side.RIGHT, 1))]
     write(tmp_path / "foxglove.mcap", records)
-    seen = set()
+    schema_names = set()
     with (tmp_path / "foxglove.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert schema is not None
@@ -249,8 +249,8 @@ def test_an_independent_reader_sees_messages_that_its_schemas_describe(tmp_path:
             else:
                 assert (schema.encoding, channel.message_encoding) == ("ros1msg", "ros1")
                 assert ros1(schema.data.decode(), message.data)
-            seen.add(schema.name)
-    assert seen == {"spanwise/RawChunk", "spanwise/ImuBatch", "spanwise.Tick", "foxglove.CompressedImage"}
+            schema_names.add(schema.name)
+    assert schema_names == {"spanwise/RawChunk", "spanwise/ImuBatch", "spanwise.Tick", "foxglove.CompressedImage"}
 
 
 @settings(max_examples=30, deadline=None)
@@ -266,7 +266,7 @@ def test_the_packed_form_is_what_its_schema_text_says(batch: ImuBatch) -> None:
 def ros1(definition: str, data: bytes) -> dict[str, typing.Any]:
     """A small reader of ROS 1 messages, driven by the message definition alone."""
     letters = {"uint8": "B", "int32": "i", "int64": "q", "float64": "d"}
-    found: dict[str, typing.Any] = {}
+    fields: dict[str, typing.Any] = {}
     at = 0
     for line in definition.splitlines():
         if line.startswith("#"):
@@ -278,9 +278,9 @@ def ros1(definition: str, data: bytes) -> dict[str, typing.Any]:
             at += 4
         values = struct.unpack_from(f"<{count}{letter}", data, at)
         at += struct.calcsize(f"<{count}{letter}")
-        found[name] = values if kind.endswith("[]") else values[0]
+        fields[name] = values if kind.endswith("[]") else values[0]
     assert at == len(data)
-    return found
+    return fields
 
 
 def test_foreign_and_missing_files_are_refused_in_words(tmp_path: Path) -> None:

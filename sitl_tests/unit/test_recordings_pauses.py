@@ -59,8 +59,8 @@ def test_flight_state_keeps_its_place_behind_a_pause() -> None:
     later_ns = 3 * HOUR_NS
     state = VehicleState(later_ns, later_ns, 0.1, 0.0, 0.0, 15.0, 0.0, 0.5, True)
     log: list[Record] = [*evenly(5_000_000_000, 40), *evenly(later_ns, 4), state, *evenly(later_ns + 20_000_000, 400)]
-    given = [record for record in foreign_inputs(log) if not isinstance(record, Tick)]
-    assert [id(record) for record in given] == [id(record) for record in log]
+    replayed = [record for record in foreign_inputs(log) if not isinstance(record, Tick)]
+    assert [id(record) for record in replayed] == [id(record) for record in log]
 
 
 def test_damaged_stamps_are_refused_wherever_they_leap_to() -> None:

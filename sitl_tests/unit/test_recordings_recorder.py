@@ -43,8 +43,8 @@ def frame(sequence: int) -> Frame:
 
 
 def test_everything_arrives_in_order_large_images_included() -> None:
-    mine, theirs = recorder_channel()
-    client = RecorderClient(mine)
+    client_end, theirs = recorder_channel()
+    client = RecorderClient(client_end)
     written = [frame(i) if i % 40 == 0 else Tick(i) for i in range(200)]
     got: list[object] = []
     reader = threading.Thread(target=lambda: got.extend(collect(theirs)))
@@ -60,15 +60,15 @@ def test_everything_arrives_in_order_large_images_included() -> None:
 
 
 def test_a_recorder_that_takes_nothing_makes_nobody_wait_and_the_losses_are_counted() -> None:
-    mine, theirs = recorder_channel()
-    client = RecorderClient(mine, capacity_bytes=1 << 20)
+    client_end, theirs = recorder_channel()
+    client = RecorderClient(client_end, capacity_bytes=1 << 20)
     chunk = RawChunk(0, 1, bytes(10_000))
     start = time.perf_counter()
     for _ in range(1000):
         client.write(chunk)
     assert time.perf_counter() - start < 1.0, "writing waited for the recorder"
     client.close()
-    outlet, kept, told = RecorderReceiver(theirs), 0, 0
+    outlet, received_count, reported_drops = RecorderReceiver(theirs), 0, 0
     theirs.setblocking(False)
     while True:
         try:
@@ -76,17 +76,17 @@ def test_a_recorder_that_takes_nothing_makes_nobody_wait_and_the_losses_are_coun
         except BlockingIOError:
             break
         if batch is not None:
-            kept, told = kept + len(batch.records), told + batch.dropped
+            received_count, reported_drops = received_count + len(batch.records), reported_drops + batch.dropped
             if batch.last:
                 break
     assert client.dropped > 800
-    assert kept + client.dropped == 1000
-    assert told <= client.dropped
+    assert received_count + client.dropped == 1000
+    assert reported_drops <= client.dropped
 
 
 def test_a_dead_recorder_costs_the_records_and_nothing_else() -> None:
-    mine, theirs = recorder_channel()
-    client = RecorderClient(mine)
+    client_end, theirs = recorder_channel()
+    client = RecorderClient(client_end)
     theirs.close()
     for i in range(10):
         client.write(Tick(i))
@@ -95,8 +95,8 @@ def test_a_dead_recorder_costs_the_records_and_nothing_else() -> None:
 
 
 def test_a_recorder_started_again_goes_on_with_the_next_whole_batch() -> None:
-    mine, theirs = recorder_channel()
-    client = RecorderClient(mine)
+    client_end, theirs = recorder_channel()
+    client = RecorderClient(client_end)
     client.write(frame(1))
     theirs.recv(1 << 20)  # the first packet of the first batch goes to a recorder that dies
     client.write(Tick(7))
@@ -122,8 +122,8 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
     for name in others:
         (tmp_path / name).write_bytes(bytes(1_000_000))
     path.write_bytes(bytes(300_000))  # of the flight before
-    mine, theirs = recorder_channel()
-    client, random = RecorderClient(mine), np.random.default_rng(1)
+    client_end, theirs = recorder_channel()
+    client, random = RecorderClient(client_end), np.random.default_rng(1)
     said: list[str] = []
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
@@ -159,7 +159,7 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
 
 def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) -> None:
     channels = [recorder_channel() for _ in range(2)]
-    clients = [RecorderClient(mine) for mine, _ in channels]
+    clients = [RecorderClient(client_end) for client_end, _ in channels]
     for i in range(50):
         clients[0].write(Tick(i))
         clients[1].write(Notice(6, str(i), i))

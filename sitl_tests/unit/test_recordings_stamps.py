@@ -34,43 +34,43 @@ def test_rounded_stamps_return_to_the_line_they_were_rounded_from(
     rate_hz: float, start_s: float, cut: bool, lost: float, hole: bool, seed: int
 ) -> None:
     true_s = start_s + np.arange(int(20.0 * rate_hz)) / rate_hz
-    kept = np.random.default_rng(seed).random(true_s.size) >= lost
-    kept[true_s.size // 3 : true_s.size // 3 + (int(0.7 * rate_hz) if hole else 0)] = False
-    true_s = true_s[kept]
+    recorded = np.random.default_rng(seed).random(true_s.size) >= lost
+    recorded[true_s.size // 3 : true_s.size // 3 + (int(0.7 * rate_hz) if hole else 0)] = False
+    true_s = true_s[recorded]
     stamps = written(np.floor(true_s * 1e3) / 1e3 if cut else true_s, 3)
     assume_in_order = bool(np.all(np.diff(stamps) > 0))
-    found, note = without_rounding(stamps)
+    restored_s, note = without_rounding(stamps)
     if not assume_in_order or not note:  # the rate is so near to whole milliseconds that nothing was rounded
         off = stamps - true_s
         assert not assume_in_order or np.ptp(off) < 1e-3 + 1e-9
         return
     # an even grid: what is off is the same everywhere, up to half a millisecond where stamps were cut
-    off = found - true_s
+    off = restored_s - true_s
     assert abs(np.median(off)) < 1.1e-3
     assert np.std(off - np.median(off)) < 0.5 * np.std(stamps - true_s) + 5e-5
 
 
 def test_a_rate_that_milliseconds_hold_exactly_is_left_as_it_is() -> None:
     stamps = written(3.0 + np.arange(5000) / 250.0, 3)
-    found, note = without_rounding(stamps)
+    restored_s, note = without_rounding(stamps)
     assert note == ""
-    np.testing.assert_array_equal(found, stamps)
+    np.testing.assert_array_equal(restored_s, stamps)
 
 
 def test_stamps_that_jitter_beyond_their_rounding_stay_and_are_told(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     t_s = written(np.sort(np.arange(4000) / 400.0 + rng.uniform(-0.0012, 0.0012, 4000)), 3)
     t_s = np.unique(t_s)
-    found, note = without_rounding(t_s)
+    restored_s, note = without_rounding(t_s)
     assert note == ""
-    np.testing.assert_array_equal(found, t_s)
+    np.testing.assert_array_equal(restored_s, t_s)
 
 
 def test_fine_stamps_are_never_moved() -> None:
     stamps = written(np.arange(4000) / 333.0, 6)
-    found, note = without_rounding(stamps)
+    restored_s, note = without_rounding(stamps)
     assert note == ""
-    np.testing.assert_array_equal(found, stamps)
+    np.testing.assert_array_equal(restored_s, stamps)
 
 
 def test_a_folder_with_millisecond_stamps_is_read_as_even_and_says_so(tmp_path: Path) -> None:

@@ -123,10 +123,10 @@ def test_a_truncated_file_gives_all_whole_frames_and_says_so(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("junk", [b"", bytes(range(256)) * 3, b"\xfd" * 300, b"\0" * 9])
 def test_damage_in_the_middle_costs_the_damaged_frames_only(tmp_path: Path, junk: bytes) -> None:
-    whole = flight().data
-    starts = list(record_starts(whole))
+    tlog = flight().data
+    starts = list(record_starts(tlog))
     struck = starts[300]
-    damaged = whole[: struck + 4] + junk + whole[starts[302] :]  # two frames are gone, four bytes of stamp remain
+    damaged = tlog[: struck + 4] + junk + tlog[starts[302] :]  # two frames are gone, four bytes of stamp remain
     recording = opened(tmp_path, damaged)
     counts = [len(samples(recording, station)[0]) for station in Station]
     assert sum(counts) == 600 - 2
@@ -160,9 +160,9 @@ def test_a_station_without_samples_is_named_with_what_is_there(tmp_path: Path) -
         logger.add(UTC_US + i * 10_000, 1, mavlink.MAVLink_raw_imu_message(i * 10_000, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
     recording = opened(tmp_path, logger.data)
     assert {entry.station for entry in recording.records() if isinstance(entry, ImuBatch)} == {Station.ROOT}
-    told = [notice.text for notice in recording.notices if "no samples" in notice.text]
-    assert len(told) == 2
-    assert all("RAW_IMU of 1" in text for text in told)
+    notice_texts = [notice.text for notice in recording.notices if "no samples" in notice.text]
+    assert len(notice_texts) == 2
+    assert all("RAW_IMU of 1" in text for text in notice_texts)
 
 
 def test_reading_twice_gives_the_same(tmp_path: Path) -> None:

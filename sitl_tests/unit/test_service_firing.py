@@ -75,16 +75,16 @@ def test_a_shot_that_a_line_has_fired_is_not_sent_again() -> None:
     assert ("published", SHOT) not in happened
 
 
-@pytest.mark.parametrize(("given", "factory"), [([], None), (["--trigger", "mavlink"], MavlinkTrigger)])
+@pytest.mark.parametrize(("trigger_options", "factory"), [([], None), (["--trigger", "mavlink"], MavlinkTrigger)])
 def test_run_fires_through_the_autopilot_only_when_it_is_told_to(
-    given: list[str], factory: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+    trigger_options: list[str], factory: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
-    seen: list[Any] = []
+    configs: list[Any] = []
     monkeypatch.setattr(run.signal, "signal", lambda *_: None)  # pytest keeps its own Ctrl-C
     monkeypatch.setattr(run, "Service", lambda config: config)
-    monkeypatch.setattr(run, "fly", lambda config, *rest, **more: seen.append(config))
+    monkeypatch.setattr(run, "fly", lambda config, *rest, **more: configs.append(config))
     parser = argparse.ArgumentParser()
     run.add_arguments(parser)
     common = ["--connect", "udpin:127.0.0.1:1", "--airframe", "nadir-2m", "--parameters", str(tmp_path / "kept")]
-    assert run.execute(parser.parse_args([*common, *given])) == 0
-    assert seen[0].trigger is factory
+    assert run.execute(parser.parse_args([*common, *trigger_options])) == 0
+    assert configs[0].trigger is factory

@@ -49,7 +49,7 @@ def test_a_loop_that_turns_at_a_third_of_its_rate_is_told_once_and_told_again_wh
     assert "keeps up again: inertial" in again.sentence
 
 
-def seen(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s: float, for_s: float) -> list[Overload]:
+def overloads(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s: float, for_s: float) -> list[Overload]:
     """Shots every ``apart_ms``, of each pair made ``lost`` pairs skipped before it."""
     said, now_ms = [], from_s * 1e3
     while now_ms < (from_s + for_s) * 1e3:
@@ -60,13 +60,13 @@ def seen(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s: floa
 
 
 def test_vision_that_has_time_to_spare_says_nothing_though_a_camera_loses_images() -> None:
-    assert seen(VisionPace(), 70, 125, 1, 0.0, 20.0) == []
+    assert overloads(VisionPace(), 70, 125, 1, 0.0, 20.0) == []
 
 
 def test_vision_that_is_at_work_all_the_time_tells_what_it_would_need() -> None:
     """Eight shots a second, 200 ms each: 1.6 s a second; three of eight are skipped."""
     pace = VisionPace()
-    seen(pace, 70, 125, 0, 0.0, 3.0)
+    overloads(pace, 70, 125, 0, 0.0, 3.0)
     said = []
     now_ms = 3_000
     for k in range(100):
@@ -77,7 +77,7 @@ def test_vision_that_is_at_work_all_the_time_tells_what_it_would_need() -> None:
     assert "vision needs 1.6 s a second" in strain.text
     assert "images wait 0.9 s" in strain.text
     assert "6 of 16 shots skipped" in strain.text
-    ((again),) = seen(pace, 70, 125, 0, 23.0, 8.0)
+    ((again),) = overloads(pace, 70, 125, 0, 23.0, 8.0)
     assert again.text == ""
 
 

@@ -173,18 +173,18 @@ def test_an_upgrade_keeps_what_the_person_changed_and_lays_the_new_one_beside(
     pi5: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     setup(pi5)
-    mine = (pi5 / DEFAULTS).read_text().replace('SPANWISE_MORE=""', 'SPANWISE_MORE="--set RNG_MAX=150"')
-    (pi5 / DEFAULTS).write_text(mine)
+    edited_defaults = (pi5 / DEFAULTS).read_text().replace('SPANWISE_MORE=""', 'SPANWISE_MORE="--set RNG_MAX=150"')
+    (pi5 / DEFAULTS).write_text(edited_defaults)
     setup(pi5)
-    assert (pi5 / DEFAULTS).read_text() == mine
+    assert (pi5 / DEFAULTS).read_text() == edited_defaults
     assert not (pi5 / f"{DEFAULTS}.spanwise-new").exists(), "nothing new to lay beside it"
     capsys.readouterr()
     setup(pi5, "--cameras", "oak:CAM_B,CAM_C")
-    assert (pi5 / DEFAULTS).read_text() == mine
+    assert (pi5 / DEFAULTS).read_text() == edited_defaults
     assert 'SPANWISE_CAMERAS="--cameras oak:CAM_B,CAM_C"' in (pi5 / f"{DEFAULTS}.spanwise-new").read_text()
     assert "ours, beside your spanwise" in capsys.readouterr().out
     setup(pi5, "--undo")
-    assert (pi5 / f"{DEFAULTS}.spanwise-saved").read_text() == mine
+    assert (pi5 / f"{DEFAULTS}.spanwise-saved").read_text() == edited_defaults
     assert not (pi5 / DEFAULTS).exists()
     assert not (pi5 / f"{DEFAULTS}.spanwise-new").exists()
 
@@ -212,7 +212,9 @@ def test_undo_takes_the_edit_alone_out_of_a_boot_file_that_was_changed_since(pi5
 def test_the_router_keeps_the_nodes_off_autopilot_and_radio(pi5: Path) -> None:
     write(pi5, "usr/bin/mavlink-routerd", "", 0o755)
     setup(pi5)
-    sections = {part.splitlines()[0]: part for part in (pi5 / ROUTER).read_text().split("\n\n") if part.startswith("[")}
+    sections = {
+        block.splitlines()[0]: block for block in (pi5 / ROUTER).read_text().split("\n\n") if block.startswith("[")
+    }
     text = (pi5 / ROUTER).read_text()
     for section in ("[UartEndpoint autopilot]", "[UdpEndpoint ground]"):
         assert "BlockSrcCompOut = 200,201" in text.split(section)[1].split("\n\n")[0]
@@ -233,11 +235,11 @@ def test_devices_have_names_by_their_serial_numbers_and_owners_that_exist(pi5: P
     assert 'ATTRS{serial}=="FT4ABCDE"' in left
     assert 'ATTRS{serial}=="spanwise-right"' in rules
     assert 'ATTRS{idVendor}=="03e7"' in rules
-    known = ("SUBSYSTEM", "KERNEL", "ATTRS{", "ENV{", "MODE", "GROUP", "SYMLINK")
+    rule_keys = ("SUBSYSTEM", "KERNEL", "ATTRS{", "ENV{", "MODE", "GROUP", "SYMLINK")
     for line in rules.splitlines():
-        for part in line.split(", ") if line and not line.startswith("#") else []:
-            assert part.startswith(known)
-            assert part.count('"') == 2
+        for clause in line.split(", ") if line and not line.startswith("#") else []:
+            assert clause.startswith(rule_keys)
+            assert clause.count('"') == 2
     write(pi5, "etc/group", "dialout:x:20:\nvideo:x:44:\n")
     setup(pi5)
     assert 'GROUP="gpio"' not in (pi5 / RULES).read_text()

@@ -34,10 +34,10 @@ def test_contrast_falls_with_distance_as_koschmieder_has_it(view: PosedCamera) -
     scene = ground_scene(1)
     pattern = np.where(np.arange(640) // 8 % 2, 90.0, 110.0).astype(np.float32) * np.ones((480, 1), np.float32)
     shown = Appearance(0.0, 0.0, 1.0, 1.0, 1000.0).applied(pattern, view, scene)
-    share = math.exp(-3.912 * HEIGHT_M / 1000.0)
+    transmission = math.exp(-3.912 * HEIGHT_M / 1000.0)
     middle = shown[236:244, 312:328]
-    assert np.ptp(middle) == pytest.approx(20.0 * share, rel=0.01)
-    assert middle.mean() == pytest.approx(scene.sky + share * (100.0 - scene.sky), rel=0.01)
+    assert np.ptp(middle) == pytest.approx(20.0 * transmission, rel=0.01)
+    assert middle.mean() == pytest.approx(scene.sky + transmission * (100.0 - scene.sky), rel=0.01)
 
 
 def test_defocus_is_a_gaussian_of_its_width(view: PosedCamera) -> None:

@@ -37,8 +37,8 @@ def test_all_attitudes_of_a_flight_are_off_by_the_same(flight: Flight) -> None:
     assert np.abs(off_rad).min() > 1e-4
     states = [record for record in flight_records(flight) if isinstance(record, VehicleState)]
     truth = flight.truth.series(np.array([100_000_000 * (k + 1) for k in range(len(states))], dtype=np.int64))
-    told = np.array([[state.roll_rad, state.pitch_rad, state.yaw_rad] for state in states])
-    assert np.allclose(told - truth.euler_rad, off_rad, atol=1e-9)
+    reported_rad = np.array([[state.roll_rad, state.pitch_rad, state.yaw_rad] for state in states])
+    assert np.allclose(reported_rad - truth.euler_rad, off_rad, atol=1e-9)
     peer = Peer(flight)
     peer.run(1.0)
     for _, message in peer.of("ATTITUDE"):

@@ -157,8 +157,10 @@ def test_lens_residuals_have_the_stated_sigmas() -> None:
 def test_a_discrete_gust_lifts_the_load_factor_by_what_was_drawn() -> None:
     weather = dataclasses.replace(FAIR.weather, discrete_per_min=60.0, discrete_g=(0.3, 0.3), discrete_s=(0.8, 0.8))
     plan = gusty(still_plan(20.0), weather, np.random.default_rng(3))
-    one = dataclasses.replace(plan, duration_s=12.0, pull_ups=(dataclasses.replace(plan.pull_ups[0], from_s=2.0),))
-    flight = build_flight(load_airframe("nadir-2m"), 1, plan=one, gust=GustKind.CALM, perturbed=False)
+    single_gust = dataclasses.replace(
+        plan, duration_s=12.0, pull_ups=(dataclasses.replace(plan.pull_ups[0], from_s=2.0),)
+    )
+    flight = build_flight(load_airframe("nadir-2m"), 1, plan=single_gust, gust=GustKind.CALM, perturbed=False)
     factor = flight.truth.series(np.arange(0, 12_000_000_000, 5_000_000)).load_factor
     assert factor.max() - 1.0 == pytest.approx(0.3, abs=0.01)
 
@@ -196,7 +198,7 @@ def test_a_wrong_principal_point_leaves_the_middle_of_the_image_where_it_was() -
     for side in Side:
         camera, worn = before.camera(side), after.camera(side)
         ahead = camera.rest.position_body_m + 60.0 * camera.rest.camera_from_body[2]
-        seen = camera.project(camera.rest, ahead), worn.project(worn.rest, ahead)
+        pixels = camera.project(camera.rest, ahead), worn.project(worn.rest, ahead)
         assert camera.lens.matrix[0, 2] != worn.lens.matrix[0, 2]
         # the turn of 2 px / 800 px leaves its square, and its product with the mounting's turn
-        assert np.abs(seen[1] - seen[0]).max() < 0.02
+        assert np.abs(pixels[1] - pixels[0]).max() < 0.02

@@ -15,7 +15,7 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Deflection, Notice, Reject
-from sitl_tests.unit.stereo_cases import bend, ground_below, match_set, nadir, seen
+from sitl_tests.unit.stereo_cases import bend, ground_below, match_set, nadir, raw_pixels
 
 MS = 1_000_000
 PERIOD_NS = 120 * MS
@@ -26,7 +26,7 @@ PITCH, YAW, ROLL = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)  # body axe
 
 
 @dataclass
-class Told:
+class ScriptedTracker:
     """A tracker that says what it is given: its bend errs by its own fast sigma, and by a lie."""
 
     seed: int
@@ -62,25 +62,25 @@ def flown(
     airframe = nadir()
     assert airframe.right_camera is not None
     rig = Rig.from_airframe(airframe)
-    correction, told = Correction.create(airframe, settings or Settings()), Told(seed)
+    correction, tracker = Correction.create(airframe, settings or Settings()), ScriptedTracker(seed)
     ranges: list[CorrectedRange] = []
     said: list[Notice] = []
     for k in range(pairs):
         strike = struck(k)
-        told.lie_rad, told.distrust = strike.lie_rad, strike.distrust
+        tracker.lie_rad, tracker.distrust = strike.lie_rad, strike.distrust
         body_from_camera = rig.right.rest.camera_from_body.T
         x, y, z = (body_from_camera.T @ np.array(strike.turned_rad)).tolist()
         camera = dataclasses.replace(airframe.right_camera, rotation_rad=tuple(log_rotation(exp_rotation([x, y, z]))))
         true_rig = Rig.from_airframe(dataclasses.replace(airframe, right_camera=camera))
         slope = SLOPE + strike.late_rad
-        left_px, right_px = seen(
+        left_px, right_px = raw_pixels(
             true_rig, ground_below(strike.range_m, strike.matches, 1000 * seed + k), (slope, slope)
         )
         right_px = right_px + strike.match_px * np.random.default_rng([seed, k]).standard_normal(right_px.shape)
         exposed_ns = 10_000 * MS + k * PERIOD_NS
         matches = match_set(left_px, right_px, strike.match_px, mid_exposure_ns=(exposed_ns, exposed_ns))
         list(correction.add(matches, strike.stamps))
-        for output in correction.due(told, exposed_ns + 1000 * MS):
+        for output in correction.due(tracker, exposed_ns + 1000 * MS):
             if isinstance(output, CorrectedRange):
                 ranges.append(output)
             elif isinstance(output, Notice):

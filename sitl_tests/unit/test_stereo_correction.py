@@ -23,7 +23,7 @@ from companion.records import (
     RelativeRotation,
     VehicleState,
 )
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
 
 MS = 1_000_000
 SLOPES = (0.02, 0.024)
@@ -56,7 +56,7 @@ def _matches(number: int = 0) -> MatchSet:
     ahead = random.uniform(60.0, 150.0, 300)
     ground = np.column_stack([ahead, ahead * random.uniform(-0.3, 0.3, 300), np.full(300, 30.0)])
     points = np.vstack([post, ground]) @ level_from_body(ROLL_RATE_RADPS * 0.5, 0.0)
-    left, right = seen(rig, points, SLOPES)
+    left, right = raw_pixels(rig, points, SLOPES)
     inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
     pixels = right[inside] + 0.02 * random.normal(size=right[inside].shape)
     exposed_ns = EXPOSED_NS + 100 * MS * number
@@ -78,13 +78,13 @@ def test_on_the_ground_nothing_is_trusted_or_learnt_and_from_lift_off_on_it_is()
     for number in range(12):
         assert not list(correction.add(_matches(number)))
         outputs += correction.due(Still(), EXPOSED_NS + (600 + 100 * number) * MS)
-    rolling = [one for one in _of(CorrectedRange, outputs) if one.t_host_ns < lift_off_ns]
+    rolling = [measured for measured in _of(CorrectedRange, outputs) if measured.t_host_ns < lift_off_ns]
     assert len(rolling) == 5
-    assert {one.reject for one in rolling} == {Reject.ON_GROUND}
-    assert {one.matches for one in _of(RelativeRotation, outputs)[:5]} == {0}
-    assert min(one.t_host_ns for one in _of(ObstacleSectors, outputs)) > lift_off_ns
+    assert {measured.reject for measured in rolling} == {Reject.ON_GROUND}
+    assert {rotation.matches for rotation in _of(RelativeRotation, outputs)[:5]} == {0}
+    assert min(sectors.t_host_ns for sectors in _of(ObstacleSectors, outputs)) > lift_off_ns
     aloft = _of(CorrectedRange, outputs)[5:]
-    assert Reject.ON_GROUND not in {one.reject for one in aloft}
+    assert Reject.ON_GROUND not in {measured.reject for measured in aloft}
     assert aloft[-1].trusted
 
 
@@ -124,15 +124,15 @@ def test_an_untrusted_wing_withholds_range_and_sectors_and_teaches_nothing() -> 
     outputs = _corrected(Still(Reject.NOT_SETTLED), Settings(), pairs=4)
     ranges = _of(CorrectedRange, outputs)
     assert len(ranges) == 4
-    assert not any(one.trusted for one in ranges)
-    assert Reject.NOT_SETTLED in {one.reject for one in ranges}
+    assert not any(measured.trusted for measured in ranges)
+    assert Reject.NOT_SETTLED in {measured.reject for measured in ranges}
     assert not _of(ObstacleSectors, outputs)
-    assert {one.matches for one in _of(RelativeRotation, outputs)} == {0}
+    assert {rotation.matches for rotation in _of(RelativeRotation, outputs)} == {0}
 
 
 def test_a_pair_whose_stamps_are_wrong_gives_no_sectors_and_teaches_nothing() -> None:
     outputs = _corrected(Still(), Settings(), pairs=4, misstamped=(2,))
-    assert [one.matches > 0 for one in _of(RelativeRotation, outputs)] == [True, True, False, True]
+    assert [rotation.matches > 0 for rotation in _of(RelativeRotation, outputs)] == [True, True, False, True]
     assert len(_of(ObstacleSectors, outputs)) == 3
 
 
@@ -146,8 +146,8 @@ def test_matches_are_left_aside_where_the_parameter_says_so() -> None:
 
 @pytest.mark.slow
 def test_the_same_inputs_give_the_same_bytes() -> None:
-    one, other = (
+    first, other = (
         [dumps(type(output), output) for output in _corrected(Still(), Settings(), pairs=5)] for _ in range(2)
     )
-    assert one == other
+    assert first == other
     assert len(_of(RelativeRotation, _corrected(Still(), Settings(), pairs=5))) == 5

@@ -45,11 +45,11 @@ def _rays(
     for camera, half_rad in ((rig.left, -0.5 * turn_rad), (rig.right, 0.5 * turn_rad)):
         rest = camera.rest
         really = rest.camera_from_body @ exp_rotation(-frame.T @ half_rad)
-        seen = (points - rest.position_body_m) @ really.T
-        seen = seen / seen[:, 2:]
+        directions = (points - rest.position_body_m) @ really.T
+        directions = directions / directions[:, 2:]
         if camera is rig.right:
-            seen[:, :2] += noise_rad * random.standard_normal((n, 2))
-        believed += [where * rest.position_body_m, seen @ rest.camera_from_body]
+            directions[:, :2] += noise_rad * random.standard_normal((n, 2))
+        believed += [where * rest.position_body_m, directions @ rest.camera_from_body]
     return Rays(*believed)
 
 
@@ -64,9 +64,9 @@ def test_a_rotation_of_several_milliradians_is_found_within_its_sigma(rig: Rig) 
     squares = []
     for seed in range(40):
         true = np.random.default_rng(1000 + seed).normal(0.0, 0.004, 3)
-        found = _update(rig, _rays(rig, true, seed), ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
-        error = found.slow_rad - true
-        squares.append(float(error @ np.linalg.solve(found.slow_covariance, error)))
+        estimate = _update(rig, _rays(rig, true, seed), ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
+        error = estimate.slow_rad - true
+        squares.append(float(error @ np.linalg.solve(estimate.slow_covariance, error)))
         assert np.abs(error[[0, 2]]).max() < 1e-4
     # chi-square with 3 degrees of freedom, 40 draws: mean 3, standard deviation 0.39
     assert 3 - 4 * 0.39 < np.mean(squares) < 3 + 4 * 0.39 + 0.5
@@ -75,13 +75,13 @@ def test_a_rotation_of_several_milliradians_is_found_within_its_sigma(rig: Rig) 
 def test_yaw_is_weak_by_the_factor_that_geometry_gives_and_the_filter_knows_it(rig: Rig) -> None:
     """Uniform x in +-a, y in +-b: the parallax of yaw is x y, so its sigma is noise / sqrt(n a^2 b^2 / 9)."""
     n = 400
-    found = _update(
+    estimate = _update(
         rig,
         _rays(rig, np.zeros(3), 3, n=n, depths_m=(400.0, 500.0)),
         ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES),
     )
-    sigma = np.sqrt(np.diag(found.slow_covariance))
-    scaled = NOISE_RAD * found.parallax_scale
+    sigma = np.sqrt(np.diag(estimate.slow_covariance))
+    scaled = NOISE_RAD * estimate.parallax_scale
     assert sigma[1] == pytest.approx(scaled * 3.0 / (0.35 * 0.28 * np.sqrt(n)), rel=0.12)
     assert sigma[0] == pytest.approx(scaled / np.sqrt(n), rel=0.12)
     assert sigma[2] == pytest.approx(scaled * np.sqrt(3.0) / (0.35 * np.sqrt(n)), rel=0.12)
@@ -91,11 +91,11 @@ def test_an_unknown_baseline_counts_as_far_as_there_is_disparity(rig: Rig) -> No
     """At one depth a baseline turned by b is a pitch of b times the disparity B/Z: no match can tell the two apart."""
     depth_m, baseline_rad = 175.0, 0.005  # small: y^2 in the pitch column tells a large one apart
     rays = _rays(rig, np.zeros(3), 4, depths_m=(depth_m, depth_m))
-    known = _update(rig, rays, ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
+    exact = _update(rig, rays, ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
     unknown = _update(rig, rays, ExtrinsicsPrior(baseline_rad=baseline_rad, **EXACT_LENSES))
-    added = np.sqrt(unknown.slow_covariance[0, 0] - known.slow_covariance[0, 0])
+    added = np.sqrt(unknown.slow_covariance[0, 0] - exact.slow_covariance[0, 0])
     assert added == pytest.approx(baseline_rad * rig.baseline_m / depth_m, rel=0.05)
-    assert unknown.slow_covariance[2, 2] == pytest.approx(known.slow_covariance[2, 2], rel=0.02)
+    assert unknown.slow_covariance[2, 2] == pytest.approx(exact.slow_covariance[2, 2], rel=0.02)
 
 
 def test_a_bend_of_many_milliradians_is_not_shrunk(rig: Rig) -> None:
@@ -114,10 +114,10 @@ def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:
     spoiled = rays.right.copy()
     spoiled[:50] += np.random.default_rng(7).normal(0.0, 0.004, (50, 3))
     prior = ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES)
-    found = _update(rig, Rays(rays.left_m, rays.left, rays.right_m, spoiled), prior)
-    error = np.abs(found.slow_rad - true)
-    assert np.all(error < 5.0 * np.sqrt(np.diag(found.slow_covariance)))
-    assert found.used < 125
+    estimate = _update(rig, Rays(rays.left_m, rays.left, rays.right_m, spoiled), prior)
+    error = np.abs(estimate.slow_rad - true)
+    assert np.all(error < 5.0 * np.sqrt(np.diag(estimate.slow_covariance)))
+    assert estimate.used < 125
 
 
 def test_slow_and_fast_part_are_told_apart_by_time(rig: Rig) -> None:
@@ -162,12 +162,12 @@ def _axes(rig: Rig) -> LensAxes:
 
 
 def test_the_design_is_the_derivative_of_the_parallax(rig: Rig) -> None:
-    seen = in_frame(_rays(rig, np.array([0.003, 0.002, -0.004]), 9), epipolar_frame(rig))
+    rays = in_frame(_rays(rig, np.array([0.003, 0.002, -0.004]), 9), epipolar_frame(rig))
     axes = _axes(rig)
     at = np.array([1e-3, -2e-3, 3e-3, 1e-3, 2e-3, 1e-3, 2e-3, 1e-3, -1e-3, 1e-3, 2e-3, 1e-3, -2e-3, 1e-3])
-    _, design = parallax(seen, axes, at)
+    _, design = parallax(rays, axes, at)
     for column, step in enumerate(1e-6 * np.eye(PARALLAX_STATES)):
-        slope = (parallax(seen, axes, at - step)[0] - parallax(seen, axes, at + step)[0]) / 2e-6
+        slope = (parallax(rays, axes, at - step)[0] - parallax(rays, axes, at + step)[0]) / 2e-6
         # the design leaves out what is second order in the state: a few mrad times the column itself
         assert np.abs(slope - design[:, column]).max() < 0.01
 

@@ -18,7 +18,7 @@ from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, RelativeRotation
-from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, raw_pixels, wall_ahead
 from sitl_tests.unit.test_stereo_lens_residual import with_residual
 
 YAW, ROLL = 1, 2
@@ -42,12 +42,12 @@ def _lasting(airframe: Airframe) -> Airframe:
 
 
 def _matches(airframe: Airframe, points: np.ndarray, turned: Airframe, seed: int) -> MatchSet:
-    left, right = seen(Rig.from_airframe(turned), points, (TRUE_SLOPE, TRUE_SLOPE))
+    left, right = raw_pixels(Rig.from_airframe(turned), points, (TRUE_SLOPE, TRUE_SLOPE))
     right = right + MATCH_PX * np.random.default_rng(seed).standard_normal(right.shape)
     return match_set(left, right, MATCH_PX)
 
 
-def _told(
+def _rotation_after(
     slow: ExtrinsicsDriftFilter, airframe: Airframe, matches: MatchSet, wing: Deflection, use_matches: bool
 ) -> RelativeRotation:
     rig = Rig.from_airframe(airframe)
@@ -89,10 +89,12 @@ def _errors(tilt_rad: float, use_matches: bool, flights: int = 40, pairs: int = 
             wing = _believed(TRUE_SLOPE - off_rad, tilt_rad, 2e-4, k * PERIOD_NS)
             wing = dataclasses.replace(wing, slope_rad=wing.slope_rad - fast)
             rolling = ground_below(60.0, 120, 100 * flight + k, tilt=(0.1, -0.05))
-            told = _told(slow, airframe, _matches(airframe, rolling, truth, 1000 * flight + k), wing, use_matches)
+            rotation = _rotation_after(
+                slow, airframe, _matches(airframe, rolling, truth, 1000 * flight + k), wing, use_matches
+            )
         # up-bend turns the right camera about -x of the body, which is +y of this pair's epipolar frame, twice over
-        errors.append(told.slow_rad[YAW] - (2.0 * off_rad + mounting[YAW]))
-        sigmas.append(np.sqrt(told.slow_covariance[YAW, YAW]))
+        errors.append(rotation.slow_rad[YAW] - (2.0 * off_rad + mounting[YAW]))
+        sigmas.append(np.sqrt(rotation.slow_covariance[YAW, YAW]))
     return np.array(errors), np.array(sigmas)
 
 
@@ -116,18 +118,18 @@ def test_both_together_are_better_than_either() -> None:
 
 def test_without_looking_the_yaw_is_as_uncertain_as_tilt_and_mounting() -> None:
     airframe = nadir(rotation_sigma_rad=3e-4)
-    told = _told(
+    rotation = _rotation_after(
         ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe),
         airframe,
         _matches(airframe, ground_below(60.0, 50, 1), airframe, 1),
         _believed(TRUE_SLOPE, 0.001, 2e-4, 0),
         use_matches=False,
     )
-    assert (told.matches, told.parallax_scale) == (0, 0.0)
+    assert (rotation.matches, rotation.parallax_scale) == (0, 0.0)
     slow = (2 * 0.001) ** 2 + 2 * 3e-4**2
-    assert told.slow_covariance[YAW, YAW] == pytest.approx(slow)
-    assert told.covariance[YAW, YAW] == pytest.approx(slow + 2 * 2e-4**2)
-    assert told.slow_covariance[ROLL, ROLL] == pytest.approx(2 * 3e-4**2)
+    assert rotation.slow_covariance[YAW, YAW] == pytest.approx(slow)
+    assert rotation.covariance[YAW, YAW] == pytest.approx(slow + 2 * 2e-4**2)
+    assert rotation.slow_covariance[ROLL, ROLL] == pytest.approx(2 * 3e-4**2)
 
 
 @pytest.mark.parametrize("count", [3, 50])
@@ -137,7 +139,7 @@ def test_a_pair_without_flow_contradicts_none(count: int) -> None:
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     slow.flow_contradicts = True
     matches = _matches(airframe, ground_below(60.0, count, 1), airframe, 1)
-    _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=count < 12)
+    _rotation_after(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=count < 12)
     assert not slow.flow_contradicts
 
 
@@ -146,8 +148,8 @@ def test_what_the_tracker_learns_is_taken_over_and_what_the_matches_told_is_not_
     airframe = nadir(rotation_sigma_rad=1e-7)
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     matches = _matches(airframe, ground_below(60.0, 50, 1), airframe, 1)
-    first = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=True)
-    later = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.0005, 0.0, PERIOD_NS), use_matches=False)
+    first = _rotation_after(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=True)
+    later = _rotation_after(slow, airframe, matches, _believed(TRUE_SLOPE, 0.0005, 0.0, PERIOD_NS), use_matches=False)
     seen_slope = first.slow_covariance[YAW, YAW] / 4.0
     ratio = 0.25
     expected = ratio**2 * seen_slope + 0.0005**2 * (1.0 - ratio)
@@ -165,15 +167,17 @@ def _scaled_errors(bend_scale: float, flights: int = 8, pairs: int = 120) -> tup
         for k in range(pairs):
             fast_rad = 0.01 * random.standard_normal()
             slope_rad = TRUE_SLOPE + (1.0 + scale) * fast_rad
-            pixels = seen(rig, ground_below(60.0, 100, 1000 * flight + k, tilt=(0.1, -0.05)), (slope_rad, slope_rad))
+            pixels = raw_pixels(
+                rig, ground_below(60.0, 100, 1000 * flight + k, tilt=(0.1, -0.05)), (slope_rad, slope_rad)
+            )
             noise = 0.03 * random.standard_normal(pixels[1].shape)
             wing = _believed(TRUE_SLOPE + fast_rad, 2e-4, 2e-5, k * PERIOD_NS)
             moving = exposures(rig, tips, wing, wing)
             matches = match_set(pixels[0], pixels[1] + noise, 0.03)
-            told = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
+            rotation = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
             if k >= pairs - 30:
-                errors.append(told.rotation_rad[YAW] - 2.0 * scale * fast_rad)
-                sigmas.append(np.sqrt(told.covariance[YAW, YAW]))
+                errors.append(rotation.rotation_rad[YAW] - 2.0 * scale * fast_rad)
+                sigmas.append(np.sqrt(rotation.covariance[YAW, YAW]))
     return np.array(errors), np.array(sigmas)
 
 
@@ -195,8 +199,8 @@ def _last_yaw_sigma(sigmas_rad: list[float], use_matches: bool) -> float:
     for k, sigma_rad in enumerate(sigmas_rad):
         wing = _believed(TRUE_SLOPE, sigma_rad, 0.0, k * PERIOD_NS)
         matches = _matches(airframe, ground_below(60.0, 60, k), airframe, k)
-        told = _told(slow, airframe, matches, wing, use_matches=use_matches or k + 1 < len(sigmas_rad))
-    return float(np.sqrt(told.slow_covariance[YAW, YAW]))
+        rotation = _rotation_after(slow, airframe, matches, wing, use_matches=use_matches or k + 1 < len(sigmas_rad))
+    return float(np.sqrt(rotation.slow_covariance[YAW, YAW]))
 
 
 def test_a_stated_sigma_that_ripples_with_the_load_makes_nobody_forget() -> None:
@@ -222,24 +226,26 @@ def test_matches_on_the_axes_say_nothing_about_yaw_and_the_filter_knows() -> Non
     )
     wing = _believed(TRUE_SLOPE, 0.002, 0.0, 0)
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
-    told = _told(slow, airframe, _matches(airframe, cross, airframe, 2), wing, use_matches=True)
-    assert np.sqrt(told.slow_covariance[YAW, YAW]) > 0.9 * 0.004
+    rotation = _rotation_after(slow, airframe, _matches(airframe, cross, airframe, 2), wing, use_matches=True)
+    assert np.sqrt(rotation.slow_covariance[YAW, YAW]) > 0.9 * 0.004
     everywhere = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
-    told = _told(
+    rotation = _rotation_after(
         everywhere, airframe, _matches(airframe, ground_below(60.0, 100, 4), airframe, 2), wing, use_matches=True
     )
-    assert np.sqrt(told.slow_covariance[YAW, YAW]) < 0.25 * 0.004
+    assert np.sqrt(rotation.slow_covariance[YAW, YAW]) < 0.25 * 0.004
 
 
 def test_a_forward_pair_sees_its_bend_as_roll_at_once() -> None:
     airframe = forward(rotation_sigma_rad=1e-7)
     wing = _believed(TRUE_SLOPE - 0.002, 0.004, 0.0, 0)
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
-    told = _told(slow, airframe, _matches(airframe, wall_ahead(40.0, 100, 5), airframe, 6), wing, use_matches=True)
+    rotation = _rotation_after(
+        slow, airframe, _matches(airframe, wall_ahead(40.0, 100, 5), airframe, 6), wing, use_matches=True
+    )
     # parallax of roll is x: noise / (rms of x times sqrt(n)), x uniform within +-0.3
     noise = MATCH_PX / 800.0
-    assert np.sqrt(told.slow_covariance[ROLL, ROLL]) == pytest.approx(noise / (0.3 / np.sqrt(3.0) * 10.0), rel=0.3)
-    assert abs(abs(told.slow_rad[ROLL]) - 0.004) < 4 * np.sqrt(told.slow_covariance[ROLL, ROLL])
+    assert np.sqrt(rotation.slow_covariance[ROLL, ROLL]) == pytest.approx(noise / (0.3 / np.sqrt(3.0) * 10.0), rel=0.3)
+    assert abs(abs(rotation.slow_rad[ROLL]) - 0.004) < 4 * np.sqrt(rotation.slow_covariance[ROLL, ROLL])
 
 
 def test_the_range_takes_the_rotation_and_its_sigma() -> None:
@@ -250,30 +256,32 @@ def test_the_range_takes_the_rotation_and_its_sigma() -> None:
     for k in range(60):
         wing = _believed(TRUE_SLOPE - 0.001, 0.001, 1e-4, k * PERIOD_NS)
         matches = _matches(airframe, ground_below(60.0, 150, k, tilt=(0.1, 0.1)), airframe, k)
-        told = _told(slow, airframe, matches, wing, use_matches=True)
+        rotation = _rotation_after(slow, airframe, matches, wing, use_matches=True)
     blind = correct(matches, wing, wing, rig, airframe, settings).range
-    held = correct(matches, wing, wing, rig, airframe, settings, PairConditions(turned=told)).range
+    held = correct(matches, wing, wing, rig, airframe, settings, PairConditions(turned=rotation)).range
     assert abs(blind.range_m - 60.0) > 3.0
     assert held.sigma_m < 0.5 * blind.sigma_m
     assert abs(held.range_m - 60.0) < 3.0 * held.sigma_m
     assert held.toe_rad == pytest.approx(2 * TRUE_SLOPE, abs=3.0 * held.toe_sigma_rad)
-    assert held.toe_sigma_rad == pytest.approx(np.sqrt(told.covariance[YAW, YAW]), rel=0.05)
+    assert held.toe_sigma_rad == pytest.approx(np.sqrt(rotation.covariance[YAW, YAW]), rel=0.05)
 
 
 def test_numbers_that_are_none_change_nothing() -> None:
     airframe = nadir()
     slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     matches = _matches(airframe, ground_below(60.0, 50, 1), airframe, 1)
-    good = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 2e-4, 0), use_matches=True)
+    good = _rotation_after(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 2e-4, 0), use_matches=True)
     broken = dataclasses.replace(matches, left_px=matches.left_px * np.nan)
-    told = _told(slow, airframe, broken, _believed(TRUE_SLOPE, 0.001, 2e-4, PERIOD_NS), use_matches=True)
-    assert told.matches == 0
-    assert np.allclose(told.slow_rad, good.slow_rad, rtol=1e-3)
-    assert np.isfinite(told.covariance).all()
+    rotation = _rotation_after(slow, airframe, broken, _believed(TRUE_SLOPE, 0.001, 2e-4, PERIOD_NS), use_matches=True)
+    assert rotation.matches == 0
+    assert np.allclose(rotation.slow_rad, good.slow_rad, rtol=1e-3)
+    assert np.isfinite(rotation.covariance).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("airframe", [load_airframe("forward-2m"), load_airframe("nadir-2m")], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "airframe", [load_airframe("forward-2m"), load_airframe("nadir-2m")], ids=lambda airframe: airframe.name
+)
 def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away(airframe: Airframe) -> None:
     """A hundredth of a pixel in the corner of 640 x 480 at 800 px is 0.104 mrad of yaw; a good tracker still helps."""
     steady = 0.01 / 800.0 / (0.4 * 0.3)
@@ -285,8 +293,8 @@ def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away(airframe
             wing = _believed(TRUE_SLOPE, tilt_rad, 0.0, k * PERIOD_NS)
             matches = _matches(airframe, looks(60.0, 200, k), airframe, k)
             matches = dataclasses.replace(matches, sigma_px=0.01 * matches.sigma_px)
-            told = _told(slow, airframe, matches, wing, use_matches=True)
-        sigma.append(np.sqrt(told.slow_covariance[YAW, YAW]))
+            rotation = _rotation_after(slow, airframe, matches, wing, use_matches=True)
+        sigma.append(np.sqrt(rotation.slow_covariance[YAW, YAW]))
     mounting = np.sqrt(2.0) * airframe.left_camera.rotation_sigma_rad if airframe.left_camera else 0.0
     alone = steady if airframe.orientation else steady * mounting / np.hypot(steady, mounting)
     assert sigma[0] > 0.9 * alone

@@ -17,7 +17,7 @@ from companion.core.stereo.search import trim_search
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, FramePair, MatchSet, ParameterChange, Side
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, nadir, raw_pixels, wall_ahead
 from sitl_tests.unit.stereo_scene import TexturedPlane
 
 SETTINGS = Settings()
@@ -81,16 +81,16 @@ def test_a_faint_obstacle_that_no_feature_shows_is_in_the_picture(features: Matc
 
 
 def test_what_fills_the_picture_is_as_right_as_it_says(picture: MatchSet) -> None:
-    found = slice(len(picture.sigma_px) - picture.filled, None)
+    filled_rows = slice(len(picture.sigma_px) - picture.filled, None)
     assert picture.filled > 15
     left, right = _poses()
-    rays = RIG.left.rays(left, picture.left_px[found])
+    rays = RIG.left.rays(left, picture.left_px[filled_rows])
     candidates = []
     for distance_m in (NEAR_M, FAR_M):
         points = left.position_body_m + rays * ((distance_m - left.position_body_m[0]) / rays[:, 0])[:, None]
-        candidates.append(picture.right_px[found] - RIG.project(Side.RIGHT, right, points))
+        candidates.append(picture.right_px[filled_rows] - RIG.project(Side.RIGHT, right, points))
     error_px = np.where(np.abs(candidates[0][:, :1]) < np.abs(candidates[1][:, :1]), *candidates)[:, 0]
-    over = error_px / picture.sigma_px[found]
+    over = error_px / picture.sigma_px[filled_rows]
     inner = np.abs(over) < 5.0  # patches across the board's edge are of neither surface
     assert inner.mean() > 0.93
     assert 0.6 < np.sqrt(np.mean(over[inner] ** 2)) < 1.4
@@ -98,8 +98,8 @@ def test_what_fills_the_picture_is_as_right_as_it_says(picture: MatchSet) -> Non
 
 def test_range_and_rotation_are_taken_from_features_alone(features: MatchSet, picture: MatchSet) -> None:
     bent = bend(SLOPES, (LIFT_M, 0.0), slope_sigma_rad=0.0001)
-    one, other = (correct(m, bent, bent, RIG, AIRFRAME, SETTINGS).range for m in (features, picture))
-    assert one == other
+    feature_range, other = (correct(m, bent, bent, RIG, AIRFRAME, SETTINGS).range for m in (features, picture))
+    assert feature_range == other
     assert np.array_equal(picture.features().left_px, features.left_px)
     assert picture.features().filled == 0
 
@@ -107,12 +107,12 @@ def test_range_and_rotation_are_taken_from_features_alone(features: MatchSet, pi
 def test_features_level_the_rows_though_one_in_ten_is_wrong() -> None:
     """Exact matches of a wall under more bend than is expected, some of them moved by several pixels."""
     points = wall_ahead(40.0, 120, 3)
-    left_px, right_px = seen(RIG, points, SLOPES, (LIFT_M, LIFT_M))
+    left_px, right_px = raw_pixels(RIG, points, SLOPES, (LIFT_M, LIFT_M))
     right_px[::10] += 6.0
     turned = levelled(match_set(left_px, right_px), RIG, SEARCH)
     assert turned is not None
-    true, found = (right.camera_from_body @ left.camera_from_body.T for left, right in (_poses(), turned))
-    off = log_rotation(found @ true.T)
+    true, estimated = (right.camera_from_body @ left.camera_from_body.T for left, right in (_poses(), turned))
+    off = log_rotation(estimated @ true.T)
     assert np.abs(off[[0, 2]]).max() < 2e-4  # pitch and roll; yaw shows along the rows
     assert levelled(match_set(left_px[:11], right_px[:11]), RIG, SEARCH) is None
 
@@ -135,8 +135,8 @@ def test_a_forward_pair_fills_its_picture_unless_it_is_told_not_to(pair: FramePa
 
     def count() -> int:
         frames = [dataclasses.replace(f, mid_exposure_ns=state.pairer.next_id * 10**8) for f in (pair.left, pair.right)]
-        found = [r for frame in frames for r in vision_step(state, frame, 0) if isinstance(r, MatchSet)]
-        return found[0].filled
+        match_sets = [r for frame in frames for r in vision_step(state, frame, 0) if isinstance(r, MatchSet)]
+        return match_sets[0].filled
 
     assert count() > 15
     vision_step(state, ParameterChange("RNG_DENSE", 0.0, 0), 0)

@@ -149,12 +149,12 @@ def test_what_is_known_of_velocity_and_turn_is_in_the_prediction() -> None:
     """A path told with 3 degrees of wrong heading, a turn told with a wrong bias: both known, nothing is left."""
     view, off_mps, off_rad = _view(), np.array([0.2, 1.1, -0.1]), np.array([4e-4, -2e-4, 3e-4])
     to_body = view.epipolar_from_body.T
-    told = dataclasses.replace(
+    between = dataclasses.replace(
         view.between,
         moved_m=view.between.moved_m - _PASSED_S * (to_body @ off_mps),
         turn_rad=log_rotation(exp_rotation(-to_body @ off_rad) @ exp_rotation(view.between.turn_rad)),
     )
-    told_view, level = dataclasses.replace(view, between=told), (np.zeros(3), np.zeros(PAIR_TERMS))
+    told_view, level = dataclasses.replace(view, between=between), (np.zeros(3), np.zeros(PAIR_TERMS))
     assert np.abs(told_view.innovation(*level).residual_rad).max() > 1e-3
     assert np.abs(told_view.innovation(*level, off_mps, off_rad).residual_rad).max() < 1e-9
 

@@ -18,7 +18,7 @@ from companion.core.stereo.lens_residual import LENS_TERMS, TILT_X, LensAxes, pa
 from companion.core.stereo.triangulation import Rays, match_rays
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
 from sitl_tests.unit.test_stereo_lens_residual import calibrated_by_default, old_lens, with_residual
 
 PAIRS, PAIR_S, SPEED_MPS, VELOCITY_MPS = 60, 0.15, 22.0, 0.3
@@ -61,7 +61,7 @@ def _fly(airframe: Airframe, residuals: tuple[Floats, Floats], seed: int) -> Flo
     for k in range(PAIRS):
         ahead_m = rng.uniform(30.0, 90.0, 2 * FEATURES)
         points = np.column_stack([ahead_m, *(ahead_m * rng.uniform(-w, w, 2 * FEATURES) for w in (0.36, 0.26))])
-        (left, right), (earlier, _) = seen(true, points, SLOPE), seen(true, points + moved_m, SLOPE)
+        (left, right), (earlier, _) = raw_pixels(true, points, SLOPE), raw_pixels(true, points + moved_m, SLOPE)
         inside = np.all((np.minimum(left, right) > 5.0) & (np.maximum(left, right) < (635.0, 475.0)), axis=1)
         left, right, earlier = (each[inside][:FEATURES] for each in (left, right, earlier))
         right, earlier = (each + MATCH_PX * rng.standard_normal(each.shape) for each in (right, earlier))

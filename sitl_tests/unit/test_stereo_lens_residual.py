@@ -36,7 +36,7 @@ from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, t
 from companion.params.airframe import Airframe, Camera
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, RelativeRotation, Side
-from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, raw_pixels, wall_ahead
 
 Looks = Callable[..., Airframe]
 NOTHING = np.zeros(6)
@@ -137,7 +137,7 @@ def test_a_bent_wing_turns_the_lens_with_its_camera(looks: Callable[..., Airfram
     rig, bent = Rig.from_airframe(airframe), (0.06, 0.06)
     left_terms, right_terms = _of(tilt_x=2e-3, radial=3e-3), _of(tilt_x=1.5e-3, tilt_y=-1e-3)
     points = ground_below(60.0, 400, 3, spread=0.4) if airframe.looks_down else wall_ahead(60.0, 400, 3)
-    left, right = seen(Rig.from_airframe(_with(airframe, left_terms, right_terms)), points, bent)
+    left, right = raw_pixels(Rig.from_airframe(_with(airframe, left_terms, right_terms)), points, bent)
     matches, wing, frame = match_set(left, right), bend(bent), epipolar_frame(rig)
     moving = exposures(rig, TipMotion.from_airframe(airframe), wing, wing)
     terms = np.concatenate([left_terms - right_terms, np.zeros(PAIR_TERMS - LENS_TERMS)])
@@ -207,23 +207,23 @@ def _fly(airframe: Airframe, residuals: tuple[np.ndarray, np.ndarray], seed: int
             if airframe.looks_down
             else wall_ahead(range_m, 500, 1000 * seed + k)
         )
-        left, right = seen(true_rig, points, (SLOPE_RAD, SLOPE_RAD))
+        left, right = raw_pixels(true_rig, points, (SLOPE_RAD, SLOPE_RAD))
         inside = np.all((np.minimum(left, right) > 10.0) & (np.maximum(left, right) < (630.0, 470.0)), axis=1)
         left, right = left[inside][:150], right[inside][:150]
         matches = match_set(left, right + MATCH_PX * random.standard_normal(right.shape), MATCH_PX)
         wing = _believed(off_rad, k * PAIR_NS)
         moving = exposures(rig, TipMotion.from_airframe(airframe), wing, wing)
-        told = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
+        rotation = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
         joint = drift.joint_covariance
         answer = correct(
-            matches, wing, wing, rig, airframe, settings, PairConditions(turned=told, joint_covariance=joint)
+            matches, wing, wing, rig, airframe, settings, PairConditions(turned=rotation, joint_covariance=joint)
         ).range
         if k >= SETTLED:
             true_rad = true_rotation + 2.0 * off_rad * (epipolar_frame(rig) @ rig.right.turn_rad(1.0))
-            toe_over.append((told.rotation_rad - true_rad)[YAW] / np.sqrt(told.covariance[YAW, YAW]))
+            toe_over.append((rotation.rotation_rad - true_rad)[YAW] / np.sqrt(rotation.covariance[YAW, YAW]))
             if answer.trusted:
                 range_over.append((answer.range_m - range_m) / answer.sigma_m)
-    return Flown(np.array(toe_over), np.array(range_over), len(range_over), told, joint)
+    return Flown(np.array(toe_over), np.array(range_over), len(range_over), rotation, joint)
 
 
 @pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
@@ -342,10 +342,10 @@ def test_an_old_calibration_is_in_the_toes_sigma(looks: Looks) -> None:
 
 def test_a_wider_belief_is_no_evidence_of_an_old_calibration() -> None:
     """Terms as large as their prior, learnt under one four times as wide: the mean ratio stays at one."""
-    rng, believed, share = np.random.default_rng(9), 4.0, 0.9
-    noise = believed * PRIOR * (1.0 - share) / share
-    after = np.diag((1.0 - share) * believed * PRIOR)
+    rng, believed, learnt_ratio = np.random.default_rng(9), 4.0, 0.9
+    noise = believed * PRIOR * (1.0 - learnt_ratio) / learnt_ratio
+    after = np.diag((1.0 - learnt_ratio) * believed * PRIOR)
     truth, errors = (np.sqrt(v) * rng.standard_normal((4000, PAIR_TERMS)) for v in (PRIOR, noise))
-    ratios = [lens_ratio(share * terms, after, PRIOR, believed) for terms in truth + errors]
+    ratios = [lens_ratio(learnt_ratio * terms, after, PRIOR, believed) for terms in truth + errors]
     # never below one, so that the mean lies above it by less than half
     assert 1.0 < np.mean(ratios) < 1.5

@@ -180,9 +180,9 @@ def test_disparity_that_grows_across_a_patch_moves_no_match_across_the_lines(gro
         return seen_px - np.column_stack([12.3 + grown, np.zeros(len(seen_px))])
 
     images = [np.rint(image).astype(np.uint8) for image in (left, right)]
-    found = refine(*images, corners, true_px(corners) + 0.2, np.tile([1.0, 0.0], (len(corners), 1)))
-    assert found.good.mean() > 0.95
-    error_px = (found.right_px - true_px(found.left_px))[found.good]
+    refined = refine(*images, corners, true_px(corners) + 0.2, np.tile([1.0, 0.0], (len(corners), 1)))
+    assert refined.good.mean() > 0.95
+    error_px = (refined.right_px - true_px(refined.left_px))[refined.good]
     assert np.sqrt(np.mean(error_px**2, axis=0)).max() < 0.006  # what is stated as the floor of every match's sigma
 
 
@@ -285,8 +285,8 @@ def test_a_match_whose_texture_lies_at_the_border_can_be_looked_back_from_or_is_
     rows = np.arange(90, 120 - HALF_WINDOW - 2)
     corners = np.stack([np.full(len(rows), 80), rows], axis=1)
     along = np.tile([1.0, 0.0], (len(rows), 1))
-    found = refine(image, image, corners, corners.astype(np.float64), along)
-    seen = np.rint(found.right_px[found.good]).astype(np.int64)
-    assert len(seen)
-    back = refine(image, image, seen, seen.astype(np.float64), along[: len(seen)])
-    assert len(back.good) == len(seen)
+    refined = refine(image, image, corners, corners.astype(np.float64), along)
+    right_corners = np.rint(refined.right_px[refined.good]).astype(np.int64)
+    assert len(right_corners)
+    back = refine(image, image, right_corners, right_corners.astype(np.float64), along[: len(right_corners)])
+    assert len(back.good) == len(right_corners)

@@ -79,14 +79,14 @@ def _streams(draw: st.DrawFn) -> tuple[list[tuple[int, Frame]], set[int]]:
     shots = np.cumsum([1000, *gaps]).tolist()
     numbered = draw(st.booleans())
     arrivals: list[tuple[float, int, Frame]] = []
-    there: list[set[int]] = [set(), set()]
+    delivered: list[set[int]] = [set(), set()]
     for side in Side:
         lag = draw(st.integers(0, 300))
         for number, at_ms in enumerate(shots):
             skew_ms = draw(st.integers(-3, 3))
             if draw(st.integers(0, 9)) == 0:
                 continue
-            there[side].add(number)
+            delivered[side].add(number)
             frame = _timed(side, number, at_ms + skew_ms, number if numbered else -1)
             arrivals.append((at_ms + 10 + lag, side, frame))
             if draw(st.integers(0, 9)) == 0:
@@ -94,7 +94,7 @@ def _streams(draw: st.DrawFn) -> tuple[list[tuple[int, Frame]], set[int]]:
             if draw(st.integers(0, 9)) == 0:
                 arrivals.append((at_ms + 30 + lag, side, _timed(side, 1000 + number, at_ms + 20, -1)))
     arrivals.sort(key=lambda entry: (entry[0], entry[1]))
-    return [(side, frame) for _, side, frame in arrivals], there[0] & there[1]
+    return [(side, frame) for _, side, frame in arrivals], delivered[0] & delivered[1]
 
 
 def _timed(side: Side, sequence: int, at_ms: int, plan_id: int) -> Frame:

@@ -27,7 +27,7 @@ from sitl_tests.unit.stereo_cases import (
     match_set,
     nadir,
     perfect_calibration,
-    seen,
+    raw_pixels,
     wall_ahead,
 )
 from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
@@ -54,7 +54,7 @@ def test_exact_matches_give_the_exact_range_whatever_bend_and_ground(
     airframe = nadir(distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))
     rig = Rig.from_airframe(airframe)
     slopes = (symmetric - antisymmetric, symmetric + antisymmetric)
-    matches = match_set(*seen(rig, ground_below(range_m, 60, 1, tilt), slopes, (lift_m, lift_m)))
+    matches = match_set(*raw_pixels(rig, ground_below(range_m, 60, 1, tilt), slopes, (lift_m, lift_m)))
     answer = _range(airframe, matches, bend(slopes, (lift_m, 0.0)))
     assert answer.range.range_m == pytest.approx(range_m, rel=1e-6)
     assert answer.range.rigid_range_m >= 0.0
@@ -68,16 +68,18 @@ def test_points_come_back_where_they_are(range_m: float, left: float, right: flo
     airframe = forward()
     rig = Rig.from_airframe(airframe)
     points = wall_ahead(range_m, 40, 2)
-    answer = _range(airframe, match_set(*seen(rig, points, (left, right))), bend((left, right)))
+    answer = _range(airframe, match_set(*raw_pixels(rig, points, (left, right))), bend((left, right)))
     axis, depths = range_axis_of_rig(rig, orientation_axis(0)), answer.depths
-    found = axis.origin_m + (axis.axis + depths.tangent @ axis.across) / depths.inverse_pm[:, np.newaxis]
-    np.testing.assert_allclose(found, points, rtol=1e-6, atol=1e-6)
+    triangulated = axis.origin_m + (axis.axis + depths.tangent @ axis.across) / depths.inverse_pm[:, np.newaxis]
+    np.testing.assert_allclose(triangulated, points, rtol=1e-6, atol=1e-6)
 
 
 def test_however_many_matches_there_are_what_they_share_stays_in_the_sigma() -> None:
     """A fiftieth of a pixel is common to all: Z^2 / (f B) of it, 45 mm at 60 m, where chance alone would leave 2 mm."""
     airframe = nadir(**perfect_calibration())
-    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 3000, 7), (0.02, 0.02)), sigma_px=0.05)
+    matches = match_set(
+        *raw_pixels(Rig.from_airframe(airframe), ground_below(60.0, 3000, 7), (0.02, 0.02)), sigma_px=0.05
+    )
     answer = _range(airframe, matches, bend((0.02, 0.02)))
     assert answer.match_sigma_m == pytest.approx(60.0**2 / (800.0 * 1.98) * 0.02, rel=0.02)
     assert answer.range.sigma_m == pytest.approx(answer.match_sigma_m, rel=1e-6)
@@ -146,7 +148,7 @@ def test_a_crosswind_that_nobody_tells_is_in_the_sigma() -> None:
     """5 ms at 3 m/s along the baseline are 15 mm of 1.98 m: 0.45 m of 60 m."""
     airframe = nadir(**perfect_calibration())
     rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 4)
-    matches = match_set(*seen(rig, points, (0.02, 0.02)), 0.001)
+    matches = match_set(*raw_pixels(rig, points, (0.02, 0.02)), 0.001)
     left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
     still, blown = (
         correct(
@@ -173,7 +175,7 @@ def test_a_wall_ahead_is_ranged_over_the_ground_before_it(height_m: float) -> No
     airframe = forward(**perfect_calibration())
     rig = Rig.from_airframe(airframe)
     for seed in range(5):
-        pixels = seen(rig, _foot_of_a_wall(30.0, height_m, -100.0, seed), (0.02, 0.02))
+        pixels = raw_pixels(rig, _foot_of_a_wall(30.0, height_m, -100.0, seed), (0.02, 0.02))
         noise = 0.1 * np.random.default_rng(seed).standard_normal(pixels[1].shape)
         answer = _range(airframe, match_set(pixels[0], pixels[1] + noise), bend((0.02, 0.02))).range
         assert answer.range_m == pytest.approx(30.0, abs=4.0 * answer.sigma_m)
@@ -188,7 +190,7 @@ def test_a_range_with_an_edge_on_its_axis_is_one_of_both_or_not_trusted() -> Non
         points = wall_ahead(30.0, 200, seed)
         far = points[:, 1] < 0.0
         points[far] *= 2.0
-        pixels = seen(rig, points, (0.02, 0.02))
+        pixels = raw_pixels(rig, points, (0.02, 0.02))
         noise = 0.1 * np.random.default_rng(seed).standard_normal(pixels[1].shape)
         answer = _range(airframe, match_set(pixels[0], pixels[1] + noise), bend((0.02, 0.02))).range
         assert not answer.trusted or min(abs(answer.range_m - 30.0), abs(answer.range_m - 60.0)) < 5.0 * answer.sigma_m
@@ -198,7 +200,7 @@ def test_each_camera_is_corrected_with_the_bend_of_its_own_exposure() -> None:
     airframe = nadir()
     rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 5)
     left, right = bend((0.020, 0.020), t_ns=0), bend((0.023, 0.023), t_ns=3_000_000)
-    matches = match_set(*seen(rig, points, (0.020, 0.023)), mid_exposure_ns=(0, 3_000_000))
+    matches = match_set(*raw_pixels(rig, points, (0.020, 0.023)), mid_exposure_ns=(0, 3_000_000))
     assert correct(matches, left, right, rig, airframe, SETTINGS).range.range_m == pytest.approx(60.0, rel=1e-6)
     assert correct(matches, left, left, rig, airframe, SETTINGS).range.range_m != pytest.approx(60.0, abs=3.0)
 
@@ -236,7 +238,7 @@ def _rolling(
 def test_wrong_matches_do_not_pull_the_range() -> None:
     airframe = nadir()
     rig = Rig.from_airframe(airframe)
-    left, right = seen(rig, ground_below(60.0, 100, 7), (0.02, 0.02))
+    left, right = raw_pixels(rig, ground_below(60.0, 100, 7), (0.02, 0.02))
     random = np.random.default_rng(8)
     right = right + random.normal(scale=0.1, size=right.shape)
     right[:30, 0] += random.uniform(3.0, 60.0, 30)
@@ -248,7 +250,7 @@ def test_wrong_matches_do_not_pull_the_range() -> None:
 def test_matches_off_the_epipolar_line_are_dropped() -> None:
     airframe = nadir()
     rig = Rig.from_airframe(airframe)
-    left, right = seen(rig, ground_below(60.0, 100, 9), (0.02, 0.02))
+    left, right = raw_pixels(rig, ground_below(60.0, 100, 9), (0.02, 0.02))
     right = right + np.random.default_rng(1).normal(scale=0.05, size=right.shape)
     right[:60] += [6.0, 4.0]  # a moving shadow: agrees with itself, though not with the geometry of the rest
     right[:20, 1] += np.linspace(-20.0, 20.0, 20)
@@ -264,7 +266,7 @@ def test_sigma_is_honest_against_noise_bend_and_calibration_together() -> None:
     for draw in range(300):
         slopes = 0.02 + 1.5e-4 * random.normal(size=2)
         true = _perturbed(airframe, random)
-        left, right = seen(Rig.from_airframe(true), ground_below(60.0, 80, draw), (slopes[0], slopes[1]))
+        left, right = raw_pixels(Rig.from_airframe(true), ground_below(60.0, 80, draw), (slopes[0], slopes[1]))
         right = right + 0.1 * random.normal(size=right.shape)
         answer = _range(airframe, match_set(left, right, 0.1), bend((0.02, 0.02), slope_sigma_rad=1.5e-4)).range
         squares.append(((answer.range_m - 60.0) / answer.sigma_m) ** 2)
@@ -289,7 +291,7 @@ def test_products_differ_where_the_scene_does() -> None:
     roof = np.column_stack([random.uniform(-2, 2, 25), random.uniform(-2, 2, 25), np.full(25, 50.0)])
     ground = ground_below(60.0, 150, 13)
     ground = ground[np.linalg.norm(ground[:, :2], axis=1) > 5.0]
-    left, right = seen(rig, np.vstack([mast, roof, ground]), (0.02, 0.02))
+    left, right = raw_pixels(rig, np.vstack([mast, roof, ground]), (0.02, 0.02))
     right = right + 0.05 * random.normal(size=right.shape)
     for product, expected in ((0, 60.0), (1, 35.0), (2, 50.0)):
         tunables = dataclasses.replace(SETTINGS, product=product)
@@ -307,7 +309,7 @@ def test_the_sigma_of_every_product_is_honest(product: int, tilt: tuple[float, f
     for draw in range(80):
         slopes = 0.02 + 1.5e-5 * random.normal(size=2)
         points = ground_below(60.0, 80, draw, tilt=tilt)
-        left, right = seen(Rig.from_airframe(_perturbed(airframe, random)), points, (slopes[0], slopes[1]))
+        left, right = raw_pixels(Rig.from_airframe(_perturbed(airframe, random)), points, (slopes[0], slopes[1]))
         matches = match_set(left, right + 0.1 * random.normal(size=right.shape), 0.1)
         tunables = dataclasses.replace(SETTINGS, product=product)
         answer = _range(airframe, matches, bend((0.02, 0.02), slope_sigma_rad=1.5e-5), tunables).range
@@ -324,7 +326,7 @@ def test_the_sigma_of_every_product_is_honest(product: int, tilt: tuple[float, f
 @pytest.mark.parametrize("count", [0, 1, 2, 11])
 def test_too_few_matches_are_refused_with_finite_numbers(count: int) -> None:
     airframe = nadir()
-    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, count, 14), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(Rig.from_airframe(airframe), ground_below(60.0, count, 14), (0.0, 0.0)))
     answer = _range(airframe, matches, bend()).range
     assert (answer.trusted, answer.reject, answer.matches) == (False, Reject.NO_MATCHES, count)
     assert np.isfinite([answer.range_m, answer.sigma_m, answer.toe_rad, answer.toe_sigma_rad]).all()
@@ -334,7 +336,7 @@ def test_too_few_matches_are_refused_with_finite_numbers(count: int) -> None:
 def test_ranges_outside_the_limits_are_refused(range_m: float) -> None:
     airframe = nadir(rotation_sigma_rad=0.0)
     rig = Rig.from_airframe(airframe)
-    far = seen(rig, ground_below(abs(range_m), 60, 15), (0.0, 0.0))
+    far = raw_pixels(rig, ground_below(abs(range_m), 60, 15), (0.0, 0.0))
     pixels = far if range_m > 0 else far[::-1]  # swapped images: rays that meet behind the cameras
     answer = _range(airframe, match_set(*pixels, 0.01), bend()).range
     assert (answer.trusted, answer.reject) == (False, Reject.OUT_OF_RANGE)
@@ -359,7 +361,7 @@ def test_whatever_the_pixels_nothing_but_finite_numbers_comes_out(
 
 def test_a_bend_that_is_not_a_number_is_refused() -> None:
     airframe = nadir()
-    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 50, 1), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(Rig.from_airframe(airframe), ground_below(60.0, 50, 1), (0.0, 0.0)))
     answer = _range(airframe, matches, bend(slope_sigma_rad=float("nan"))).range
     assert (answer.trusted, answer.reject, answer.range_m) == (False, Reject.NOT_FINITE, 0.0)
 
@@ -367,7 +369,7 @@ def test_a_bend_that_is_not_a_number_is_refused() -> None:
 def test_trust_ends_where_sigma_exceeds_its_share_of_the_range() -> None:
     """3 % of 60 m is 1.8 m, or 0.99 mrad of toe."""
     airframe = nadir(rotation_sigma_rad=0.0)
-    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 300, 16), (0.0, 0.0)), 0.05)
+    matches = match_set(*raw_pixels(Rig.from_airframe(airframe), ground_below(60.0, 300, 16), (0.0, 0.0)), 0.05)
     for toe_sigma, trusted in ((0.9e-3, True), (1.1e-3, False)):
         answer = _range(airframe, matches, bend(slope_sigma_rad=toe_sigma / np.sqrt(2.0))).range
         assert answer.trusted is trusted
@@ -376,7 +378,7 @@ def test_trust_ends_where_sigma_exceeds_its_share_of_the_range() -> None:
 
 def test_ids_and_orientation_travel_with_the_range() -> None:
     airframe = nadir()
-    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(30.0, 50, 17), (0.0, 0.0)))
+    matches = match_set(*raw_pixels(Rig.from_airframe(airframe), ground_below(30.0, 50, 17), (0.0, 0.0)))
     answer = _range(airframe, matches, bend(t_ns=5_000))
     assert (answer.range.pair_id, answer.range.plan_id, answer.range.orientation) == (3, 8, 25)
     assert answer.range.t_host_ns == 5_000

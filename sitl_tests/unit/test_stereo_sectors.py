@@ -12,7 +12,7 @@ from companion.core.stereo.ranging import PairConditions, correct
 from companion.core.stereo.sectors import SECTORS, sectors_of
 from companion.params.settings import Settings
 from companion.records import ObstacleSectors
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
 
 SETTINGS = Settings()
 
@@ -99,7 +99,7 @@ def test_a_forward_pair_gives_sectors_with_its_range() -> None:
     post = np.column_stack([40.0 * np.cos(bearing), 40.0 * np.sin(bearing), random.uniform(-4, 4, 25)])
     side = np.radians(random.uniform(-17.0, 17.0, 160))
     land = np.column_stack([3000.0 * np.cos(side), 3000.0 * np.sin(side), random.uniform(-100, 100, 160)])
-    left, right = seen(rig, np.vstack([post, land]), (0.02, 0.024))
+    left, right = raw_pixels(rig, np.vstack([post, land]), (0.02, 0.024))
     right = right + 0.05 * random.normal(size=right.shape)
     deflection = bend((0.02, 0.024), slope_sigma_rad=1e-4)
     sectors = correct(match_set(left, right, 0.05), deflection, deflection, rig, airframe, SETTINGS).sectors
@@ -124,7 +124,7 @@ def test_in_a_bank_posts_stay_at_their_bearing_and_the_ground_stays_below(roll_d
     about_y = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]])
     about_x = np.array([[1, 0, 0], [0, np.cos(roll), np.sin(roll)], [0, -np.sin(roll), np.cos(roll)]])
     points = np.vstack([post, ground]) @ (about_x @ about_y).T
-    left, right = seen(rig, points, (0.02, 0.024))
+    left, right = raw_pixels(rig, points, (0.02, 0.024))
     inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
     matches = match_set(left[inside], right[inside] + 0.02 * random.normal(size=right[inside].shape), 0.02)
     deflection = bend((0.02, 0.024), slope_sigma_rad=2e-5)

@@ -10,7 +10,7 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.vehicle_motion import STILL, VehicleTrack
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, RelativeRotation, Side, VehicleState
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
 
 MS = 1_000_000
 AT_NS = 1000 * MS
@@ -81,7 +81,9 @@ def _seen_in_flight(rig: Rig, number: int, t_ns: tuple[int, int], velocity_mps: 
     points = np.column_stack([np.ones(150), rng.uniform(-0.3, 0.3, 150), rng.uniform(-0.25, 0.25, 150)])
     points *= np.where(rng.random(150) < 0.6, 40.0, rng.uniform(12.0, 80.0, 150))[:, np.newaxis]
     middle_ns = sum(t_ns) // 2
-    pixels = [seen(rig, points - 1e-9 * (t_ns[side] - middle_ns) * velocity_mps, (0.02, 0.02))[side] for side in Side]
+    pixels = [
+        raw_pixels(rig, points - 1e-9 * (t_ns[side] - middle_ns) * velocity_mps, (0.02, 0.02))[side] for side in Side
+    ]
     return match_set(pixels[0], pixels[1] + 0.1 * rng.standard_normal(pixels[1].shape), mid_exposure_ns=t_ns)
 
 

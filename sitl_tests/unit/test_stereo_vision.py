@@ -33,10 +33,10 @@ def _frames(shot: int) -> list[Frame]:
 
 
 def _matches(state: VisionState, frames: list[Frame]) -> int:
-    found = [record for frame in frames for record in vision_step(state, frame, 0)]
-    assert len(found) == 1
-    assert isinstance(found[0], MatchSet)
-    return len(found[0].sigma_px)
+    records = [record for frame in frames for record in vision_step(state, frame, 0)]
+    assert len(records) == 1
+    assert isinstance(records[0], MatchSet)
+    return len(records[0].sigma_px)
 
 
 @pytest.mark.slow
@@ -109,21 +109,23 @@ def test_triggered_cameras_are_matched_whatever_is_planned() -> None:
 def test_a_gap_in_the_numbers_of_one_camera_is_told_with_how_many_images_it_lacks() -> None:
     free = VisionState.create(nadir(), Settings(), free_running=True)
 
-    def told(side: Side, number: int) -> list[tuple[str, int]]:
+    def losses(side: Side, number: int) -> list[tuple[str, int]]:
         frame = Frame(side, number, ClockName.HOST, number * MS, MS, 0, -1, BLANK)
         answers = vision_step(free, frame, 0)
-        return [(one.what, one.count) for one in answers if getattr(one, "reason", None) is Reject.FRAME_LOST]
+        return [
+            (answer.what, answer.count) for answer in answers if getattr(answer, "reason", None) is Reject.FRAME_LOST
+        ]
 
-    assert told(Side.LEFT, 7) == []  # nobody knows what came before the first
-    assert told(Side.LEFT, 8) == []
-    assert told(Side.RIGHT, 11) == []
-    assert told(Side.LEFT, 12) == [("left frames", 3)]
-    assert told(Side.LEFT, 2) == []  # a camera that begins anew
-    assert told(Side.LEFT, 4) == [("left frames", 1)]
+    assert losses(Side.LEFT, 7) == []  # nobody knows what came before the first
+    assert losses(Side.LEFT, 8) == []
+    assert losses(Side.RIGHT, 11) == []
+    assert losses(Side.LEFT, 12) == [("left frames", 3)]
+    assert losses(Side.LEFT, 2) == []  # a camera that begins anew
+    assert losses(Side.LEFT, 4) == [("left frames", 1)]
 
 
 def test_a_lonely_frame_is_told_while_frames_are_chosen_too() -> None:
     free = VisionState.create(nadir(), Settings(), free_running=True)
     vision_step(free, Frame(Side.LEFT, 1, ClockName.HOST, 5 * MS, MS, 0, -1, BLANK), 0)
-    told = vision_step(free, Frame(Side.LEFT, 0, ClockName.HOST, MS, MS, 0, -1, BLANK), 0)
-    assert [getattr(record, "reason", None) for record in told] == [Reject.UNPAIRED]
+    records = vision_step(free, Frame(Side.LEFT, 0, ClockName.HOST, MS, MS, 0, -1, BLANK), 0)
+    assert [getattr(record, "reason", None) for record in records] == [Reject.UNPAIRED]

@@ -152,14 +152,14 @@ def known_after(
     *searches_hz: tuple[float, ...], followed: dict[int, tuple[float, float]] | None = None
 ) -> dict[int, float]:
     """Known lines after searches of two-second windows with these steady lines."""
-    known = KnownLines()
+    known_lines = KnownLines()
     for lines in searches_hz:
         t_ns = stamps(2.5)
         vertical = sum((np.cos(2.0 * np.pi * f * t_ns * 1e-9) for f in lines), wing(t_ns * 1e-9))
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, samples(t_ns, vertical))
-        completed(known.search([ring], int(t_ns[-1]) + 1, followed or {}))
-    return known.leader_hz
+        completed(known_lines.search([ring], int(t_ns[-1]) + 1, followed or {}))
+    return known_lines.leader_hz
 
 
 def test_a_peak_near_a_followed_line_is_that_line() -> None:
@@ -209,15 +209,15 @@ def test_broadband_vibration_has_no_turned_lines() -> None:
 
 
 def test_lines_of_one_shaft_are_one_shaft() -> None:
-    known = KnownLines()
+    known_lines = KnownLines()
     for seconds in (2.5, 3.5):
         t_ns = stamps(seconds)
         turn_rad = shaft_turns(t_ns * 1e-9, 70.0)
         values = samples(t_ns, wing(t_ns * 1e-9) + 5.0 * np.cos(turn_rad) + np.cos(2.0 * turn_rad))
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, values)
-        completed(known.search([ring], int(t_ns[-1]) + 1, {}))
-    assert list(known.multiples.values()) == [(PARTS, 2 * PARTS)]
+        completed(known_lines.search([ring], int(t_ns[-1]) + 1, {}))
+    assert list(known_lines.multiples.values()) == [(PARTS, 2 * PARTS)]
 
 
 def test_a_weak_line_turns_with_its_leader() -> None:
@@ -230,8 +230,8 @@ def test_a_weak_line_turns_with_its_leader() -> None:
     dirty[:, 2] += 10.0 * np.cos(turn_rad) + weak
     states = line_states(np.array([70.0]), [[PARTS, 2 * PARTS]], WEIGHT, RATE_HZ)
     left = remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states)[2000:, 2]
-    share = (left @ np.exp(2j * turn_rad[2000:])) / (np.exp(2j * turn_rad[2000:]) @ weak[2000:])
-    assert abs(share) < 0.2, "of the weak line's amplitude"
+    remainder = (left @ np.exp(2j * turn_rad[2000:])) / (np.exp(2j * turn_rad[2000:]) @ weak[2000:])
+    assert abs(remainder) < 0.2, "of the weak line's amplitude"
 
 
 def chopped(t_s: Floats) -> Floats:
@@ -249,22 +249,22 @@ def test_a_shaft_is_followed_while_the_throttle_is_closed_and_opened(gust_mps2: 
     values = samples(t_ns, wing(t_ns * 1e-9) + shaken)
     line = 3.0 * np.cos(turn_rad)
     values[:, :2] += line[:, None]
-    stream, known, clean = SampleBuffer(plain_airframe().left), KnownLines(), []
+    stream, known_lines, clean = SampleBuffer(plain_airframe().left), KnownLines(), []
     for end in range(200, len(t_ns) + 1, 200):
         cut = slice(end - 200, end)
         stream.add(batch(Station.LEFT, EPOCH_NS + t_ns[cut], values[cut]), 0)
-        part = stream.plain(EPOCH_NS + int(t_ns[cut][-1]))
-        clean.append(part.values[-190:, 1])
+        cleaned = stream.plain(EPOCH_NS + int(t_ns[cut][-1]))
+        clean.append(cleaned.values[-190:, 1])
         if end % 1000 == 0:
-            before = known.multiples
-            search = known.search([stream.ring], EPOCH_NS + int(t_ns[end - 1]) + 1, stream.followed_shafts())
+            before = known_lines.multiples
+            search = known_lines.search([stream.ring], EPOCH_NS + int(t_ns[end - 1]) + 1, stream.followed_shafts())
         elif end % 1000 == round(1000 * SPREAD_S) and end > 1000:
             completed(search)
-            known.follow(stream.followed_shafts())
-            if known.multiples != before:
-                stream.follow_lines(known.leader_hz, known.multiples)
-            stream.anchor_lines(known.leader_hz)
+            known_lines.follow(stream.followed_shafts())
+            if known_lines.multiples != before:
+                stream.follow_lines(known_lines.leader_hz, known_lines.multiples)
+            stream.anchor_lines(known_lines.leader_hz)
         stream.forget(EPOCH_NS + int(t_ns[end - 1]) - 100_000_000)
-    assert list(known.leader_hz) == [0], "the shaft that was found first"
-    assert known.leader_hz[0] == pytest.approx(65.0, abs=1.0)
-    assert max(np.std(part) for part in clean[25:]) < 0.25 * np.std(line)
+    assert list(known_lines.leader_hz) == [0], "the shaft that was found first"
+    assert known_lines.leader_hz[0] == pytest.approx(65.0, abs=1.0)
+    assert max(np.std(stretch) for stretch in clean[25:]) < 0.25 * np.std(line)

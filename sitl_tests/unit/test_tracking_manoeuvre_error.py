@@ -27,9 +27,9 @@ def test_a_steady_sensitivity_brings_nothing() -> None:
 def test_a_manoeuvre_after_long_level_flight_brings_the_error_of_the_whole_change_and_takes_it_away() -> None:
     sigmas = _sigmas([LEVEL] * 300 + [ROLLING] * 5 + [LEVEL] * 5)
     change = ROLLING - LEVEL
-    whole = float(np.sqrt(change @ COVARIANCE @ change))
-    assert all(0.95 * whole < sigma <= whole for sigma in sigmas[300:305])
-    assert max(sigmas[305:]) < 0.05 * whole
+    full_sigma = float(np.sqrt(change @ COVARIANCE @ change))
+    assert all(0.95 * full_sigma < sigma <= full_sigma for sigma in sigmas[300:305])
+    assert max(sigmas[305:]) < 0.05 * full_sigma
 
 
 def test_a_change_that_stays_comes_to_last() -> None:

@@ -33,10 +33,10 @@ def predicted(noise: RowNoise, by_state: float) -> Floats:
 def learned(innovation: Floats, by_state: float = 1.0) -> RowNoise:
     """Noise that is learned in some seconds of a filter whose S is the noise and ``by_state``."""
     noise = RowNoise(BELIEVED)
-    for part in np.split(innovation, SECONDS):
+    for block in np.split(innovation, SECONDS):
         S = predicted(noise, by_state)
-        covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (len(part), ROWS, ROWS))
-        noise.learn(part * SCALE, covariance)
+        covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (len(block), ROWS, ROWS))
+        noise.learn(block * SCALE, covariance)
     return noise
 
 

@@ -99,8 +99,8 @@ def test_new_parameters_are_taken_unless_they_make_the_measurements_inconsistent
 
     contradicted = []
 
-    def fitted(fit: SpectralFit, given: FitInput) -> Stages[WingParameters]:
-        contradicted.append(given.contradicted)
+    def fitted(fit: SpectralFit, fit_input: FitInput) -> Stages[WingParameters]:
+        contradicted.append(fit_input.contradicted)
         yield
         return offered
 

@@ -33,8 +33,8 @@ def _system(log_params: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         w, k1, k2, stated = 2 * np.pi * f, 2 * np.pi * c1, 2 * np.pi * c2, f if at else 5.0
         blocks.append([[0, 1, 0, 0], [-w * w, -2 * zeta * w, 0, 1], [0, 0, -k1, 0], [0, 0, k2, -k2]])
         gains.append(k1 * np.sqrt(load * (1 + (stated / c1) ** 2) * (1 + (stated / c2) ** 2) / 2))
-    common, own = np.kron(shared * gains, [0, 0, 1, 0]), np.kron(gains * np.sqrt(1 - shared**2), [0, 0, 1, 0])
-    return block_diag(*blocks), np.outer(common, common) + np.diag(own**2)
+    common, independent = np.kron(shared * gains, [0, 0, 1, 0]), np.kron(gains * np.sqrt(1 - shared**2), [0, 0, 1, 0])
+    return block_diag(*blocks), np.outer(common, common) + np.diag(independent**2)
 
 
 def _simulate(seconds: float, seed: int, log_params: np.ndarray = LOGS) -> np.ndarray:

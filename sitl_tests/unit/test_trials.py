@@ -67,12 +67,12 @@ def test_what_follows_a_channel_is_judged_by_the_rms_that_it_has_in_the_recordin
         term: Any = SimpleNamespace(effect=catalogue()[name](), channel=channel)
         per_rms = 0.04 * float(np.std(wave))
         cause = SimpleNamespace(term=term, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
-        found: Any = SimpleNamespace(
+        diagnosis: Any = SimpleNamespace(
             causes=(cause,), nearest="", nearest_causes=(), verdict="explained", reason="", gain=None, after=()
         )
         label = Hidden({name: 0.04})
-        assert judge(label, found, 1.0, 20.0, units)["inside_95"]
-        assert not judge(label, found, 1.0)["inside_95"]
+        assert judge(label, diagnosis, 1.0, 20.0, units)["inside_95"]
+        assert not judge(label, diagnosis, 1.0)["inside_95"]
 
 
 def test_the_acceptance_plan_holds_what_is_promised() -> None:
@@ -95,11 +95,11 @@ def test_a_wrong_name_is_counted_and_listed() -> None:
 
     wrong = row(right=False, exact=False, groups=[["hysteresis"]], gain=8.0)
     left_out = row(left_out=True, verdict="unexplained", right=False, exact=False, groups=[], gain=None)
-    told = results([row(), wrong, left_out])
-    assert "| single, 20 dB | wrong name | 1/2: 50 %" in told
-    assert "| left out, 20 dB | unexplained | 1/1: 100 %" in told
-    assert "| gain as a share of the oracle's | worst | 80 % of 2 |" in told
-    assert told.count("hysteresis") == 1
+    tables = results([row(), wrong, left_out])
+    assert "| single, 20 dB | wrong name | 1/2: 50 %" in tables
+    assert "| left out, 20 dB | unexplained | 1/1: 100 %" in tables
+    assert "| gain as a share of the oracle's | worst | 80 % of 2 |" in tables
+    assert tables.count("hysteresis") == 1
 
 
 def test_a_judgement_s_name_tells_its_place_and_seal_and_nothing_of_what_is_hidden(tmp_path: Path) -> None:

@@ -35,13 +35,13 @@ ROUND_TRIP_NS = 600_000
 
 
 def airframe(stamp_sigma_s: float) -> Airframe:
-    whole = load_airframe("nadir-2m")
-    assert whole.left_camera is not None
-    assert whole.right_camera is not None
+    base = load_airframe("nadir-2m")
+    assert base.left_camera is not None
+    assert base.right_camera is not None
     left, right = (
-        dataclasses.replace(camera, stamp_sigma_s=stamp_sigma_s) for camera in (whole.left_camera, whole.right_camera)
+        dataclasses.replace(camera, stamp_sigma_s=stamp_sigma_s) for camera in (base.left_camera, base.right_camera)
     )
-    return dataclasses.replace(whole, left_camera=left, right_camera=right)
+    return dataclasses.replace(base, left_camera=left, right_camera=right)
 
 
 def exchanges(seconds: float) -> list[TimesyncReply]:
@@ -52,7 +52,7 @@ def exchanges(seconds: float) -> list[TimesyncReply]:
     ]
 
 
-def known(seconds: float = 20.0) -> ClockBank:
+def clock_bank(seconds: float = 20.0) -> ClockBank:
     bank = ClockBank()
     for exchange in exchanges(seconds):
         bank.exchange(exchange)
@@ -71,7 +71,7 @@ def pair(plan_id: int, left_ns: int, right_ns: int, clock: ClockName = ClockName
 
 
 def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedback:
-    feedback = ExposureFeedback(airframe(stamp_sigma_s), known())
+    feedback = ExposureFeedback(airframe(stamp_sigma_s), clock_bank())
     feedback.shot(Shot(7, at_ns, at_ns))
     assert feedback.edge(edge(0, at_ns + 9 * MS))
     assert feedback.edge(edge(1, at_ns + 10 * MS))
@@ -81,8 +81,8 @@ def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedb
 @pytest.mark.parametrize("after_s", [3.0, 19.0])  # before and after the 32 bits begin again
 def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: float) -> None:
     at_ns = START_NS + round(after_s * S)
-    own = pair(7, at_ns + 30 * MS, at_ns + 31 * MS)
-    stamped, used = fired(0.003, at_ns).stamped(own)
+    camera_pair = pair(7, at_ns + 30 * MS, at_ns + 31 * MS)
+    stamped, used = fired(0.003, at_ns).stamped(camera_pair)
     assert used == 2
     true = np.array([at_ns + 9 * MS, at_ns + 10 * MS]) + EXPOSURE_NS // 2
     assert np.abs(stamped.mid_exposure_ns - true).max() <= ROUND_TRIP_NS
@@ -90,8 +90,8 @@ def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: f
 
 
 def test_a_better_stamp_is_kept() -> None:
-    own = pair(7, START_NS + 19 * S + 10 * MS, START_NS + 19 * S + 11 * MS)
-    assert fired(0.00002).stamped(own) == (own, 0)
+    camera_pair = pair(7, START_NS + 19 * S + 10 * MS, START_NS + 19 * S + 11 * MS)
+    assert fired(0.00002).stamped(camera_pair) == (camera_pair, 0)
 
 
 def test_frames_on_a_clock_that_nobody_knows_become_usable() -> None:
@@ -117,7 +117,7 @@ def test_an_edge_without_a_known_clock_or_of_long_ago_is_refused() -> None:
     at_ns = START_NS + 19 * S
     assert not ExposureFeedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns))
     late = dataclasses.replace(edge(0, at_ns - 3 * S), received_host_ns=at_ns)
-    assert not ExposureFeedback(airframe(0.003), known()).edge(late)
+    assert not ExposureFeedback(airframe(0.003), clock_bank()).edge(late)
 
 
 def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_is_said_once() -> None:
@@ -136,7 +136,7 @@ def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_
     assert [entry.reason for entry in outputs if isinstance(entry, Rejected)] == [Reject.CLOCK_UNSYNCED]
 
 
-def told(time_us: int, camera: int, image: int) -> bytes:
+def feedback_frame(time_us: int, camera: int, image: int) -> bytes:
     message = mavlink.MAVLink_camera_feedback_message(time_us, 0, camera, image, 0, 0, 0, 0, 0, 0, 0, 0, 0, image)
     return packed(message)
 
@@ -145,10 +145,10 @@ def test_the_decoder_gives_edges_of_the_pin_once_and_no_gps_time() -> None:
     stream = Stream()
     stream(packed(pilot_heartbeat()))
     records = stream(
-        told(5_000_000, 0, 1),
-        told(5_000_200, 1, 1),
-        told(5_000_000, 0, 1),  # ArduPilot repeats the other camera's
-        told(1_700_000_000_000_000, 0, 2),  # no pin: GPS time of the command
-        told(0, 1, 2),  # nor GPS
+        feedback_frame(5_000_000, 0, 1),
+        feedback_frame(5_000_200, 1, 1),
+        feedback_frame(5_000_000, 0, 1),  # ArduPilot repeats the other camera's
+        feedback_frame(1_700_000_000_000_000, 0, 2),  # no pin: GPS time of the command
+        feedback_frame(0, 1, 2),  # nor GPS
     )
     assert records == [CameraFeedback(0, 1, 5_000_000_000, stream.now), CameraFeedback(1, 1, 5_000_200_000, stream.now)]

@@ -57,12 +57,12 @@ def test_what_is_kept_is_exact(tmp_path: Path) -> None:
     file = tmp_path / "a.latency"
     learned = TriggerLatency(1, np.array([0.1 + 0.2, 1 / 3]), np.array([1e-5, 2 / 7 * 1e-3]), 31)
     keep_latency(file, 'serial:"odd\\name"', learned)
-    kept = load_latency(file)
-    assert kept is not None
-    assert kept.path == 'serial:"odd\\name"'
-    assert [one.value for one in kept.latency_s] == learned.latency_s.tolist()
-    assert [one.sigma for one in kept.latency_s] == learned.sigma_s.tolist()
-    assert kept.shots == 31
+    saved = load_latency(file)
+    assert saved is not None
+    assert saved.path == 'serial:"odd\\name"'
+    assert [latency.value for latency in saved.latency_s] == learned.latency_s.tolist()
+    assert [latency.sigma for latency in saved.latency_s] == learned.sigma_s.tolist()
+    assert saved.shots == 31
 
 
 def test_another_path_or_too_few_shots_change_nothing(tmp_path: Path, airframe: Airframe) -> None:

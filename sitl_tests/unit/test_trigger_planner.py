@@ -104,17 +104,17 @@ def test_still_instants_are_the_deflection_peaks(hz: float, phase: float) -> Non
     airframe = load_airframe("nadir-2m")
     forecast = wing(S, hz=hz, phase_rad=phase, horizon_ns=600 * MS)
     blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion())
-    found = still_instants(blur)
-    assert len(found) >= int(2 * hz * 0.59) - 1
-    for instant in found:
+    instants = still_instants(blur)
+    assert len(instants) >= int(2 * hz * 0.59) - 1
+    for instant in instants:
         assert distance_to_peak_ns(instant.t_host_ns, hz, phase) < 0.003 / hz * 1e9
 
 
 def test_sigma_is_rate_sigma_over_acceleration(airframe: Airframe) -> None:
     forecast = wing(S, rate_sigma_radps=0.01)
-    found = still_instants(BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion()))
+    instants = still_instants(BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion()))
     acceleration = FACTOR_RADPM * 0.005 * (2 * np.pi * 5.0) ** 2
-    for instant in found:
+    for instant in instants:
         assert instant.sigma_ns == pytest.approx(0.01 / acceleration * 1e9, rel=0.05)
 
 
@@ -327,12 +327,12 @@ def test_an_airframe_without_cameras_still_plans_peaks(airframe: Airframe) -> No
 
 @pytest.mark.parametrize("told_after_ns", [0, 2 * MS, 20 * MS])
 def test_a_shot_that_is_told_takes_one_turn_and_not_two(airframe: Airframe, told_after_ns: int) -> None:
-    planner, line, told = planner_for(airframe, trigger_rate_hz=3.0), Line(), 0
+    planner, line, reported = planner_for(airframe, trigger_rate_hz=3.0), Line(), 0
     for now in range(S, 11 * S, MS):
         line.run(now)
-        if told < len(line.fired) and line.fired[told].command_host_ns + told_after_ns <= now:
-            planner.fired(Shot(line.fired[told].plan_id, line.fired[told].command_host_ns, now - told_after_ns))
-            told += 1
+        if reported < len(line.fired) and line.fired[reported].command_host_ns + told_after_ns <= now:
+            planner.fired(Shot(line.fired[reported].plan_id, line.fired[reported].command_host_ns, now - told_after_ns))
+            reported += 1
         if now % (10 * MS) == 0:
             line.take(planner.plan(wing(now - 50 * MS), Validity.TRACKING, now))
     assert len(line.fired) == pytest.approx(30, abs=2)
@@ -345,7 +345,7 @@ class BusyLine(Line):
         super().__init__()
         self.rng = rng
         self.coming: list[tuple[int, TriggerPlan]] = []
-        self.told: list[tuple[int, Shot]] = []
+        self.reports: list[tuple[int, Shot]] = []
         self.void: set[int] = set()
         self.last_ns = 0
 
@@ -370,10 +370,10 @@ class BusyLine(Line):
             for plan in self.fired[before:]:
                 self.last_ns = now_ns
                 shot = Shot(plan.plan_id, plan.command_host_ns, now_ns)
-                self.told.append((now_ns + int(self.rng.integers(MS, 9 * MS)), shot))
-        known = [shot for at_ns, shot in self.told if at_ns <= to_ns]
-        self.told = [(at_ns, shot) for at_ns, shot in self.told if at_ns > to_ns]
-        return known
+                self.reports.append((now_ns + int(self.rng.integers(MS, 9 * MS)), shot))
+        due = [shot for at_ns, shot in self.reports if at_ns <= to_ns]
+        self.reports = [(at_ns, shot) for at_ns, shot in self.reports if at_ns > to_ns]
+        return due
 
 
 @pytest.mark.slow

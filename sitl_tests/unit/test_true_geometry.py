@@ -63,6 +63,6 @@ def test_the_toe_lies_in_the_plane_of_the_baseline_as_flown() -> None:
         axes = [view.camera_from_ned[2] for view in (left, right)]
         z = sum(axes) - (sum(axes) @ x) * x
         angles = [np.arctan2(axis @ x, axis @ (z / np.linalg.norm(z))) for axis in axes]
-        told = judge.true_toe_rad(dataclasses.replace(_exposed(t_s), mid_exposure_ns=mids_ns))
+        toe_rad = judge.true_toe_rad(dataclasses.replace(_exposed(t_s), mid_exposure_ns=mids_ns))
         # what remains: mountings that the belief does not know, at rest, and a lift that changes between the exposures
-        assert told == pytest.approx(angles[1] - angles[0], abs=5e-5)
+        assert toe_rad == pytest.approx(angles[1] - angles[0], abs=5e-5)

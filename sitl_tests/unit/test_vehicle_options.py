@@ -22,21 +22,21 @@ def read(arguments: list[str], parameters: Path | None) -> object:
 def test_the_last_of_file_ground_station_and_command_line_wins(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept, file = tmp_path / "kept", tmp_path / "settings.toml"
+    saved_file, file = tmp_path / "kept", tmp_path / "settings.toml"
     file.write_text("TRG_RATE = 5\nOUT_RATE = 5\nRNG_MAX = 50\n")
-    store(kept, {"OUT_RATE": 6.0, "RNG_MAX": 60.0})
-    settings = read(["--settings", str(file), "--set", "RNG_MAX=70"], kept)
-    found = (settings.trigger_rate_hz, settings.publish_rate_hz, settings.max_range_m)  # type: ignore[attr-defined]
-    assert found == (5.0, 6.0, 70.0)
+    store(saved_file, {"OUT_RATE": 6.0, "RNG_MAX": 60.0})
+    settings = read(["--settings", str(file), "--set", "RNG_MAX=70"], saved_file)
+    merged = (settings.trigger_rate_hz, settings.publish_rate_hz, settings.max_range_m)  # type: ignore[attr-defined]
+    assert merged == (5.0, 6.0, 70.0)
     said = capsys.readouterr().err
     assert "OUT_RATE 6" in said
-    assert str(kept) in said
+    assert str(saved_file) in said
 
 
 def test_damage_is_said_and_does_not_stop_the_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    kept = tmp_path / "kept"
-    kept.write_text("TRG_RATE = 1\n")
-    settings = read([], kept)
+    saved_file = tmp_path / "kept"
+    saved_file.write_text("TRG_RATE = 1\n")
+    settings = read([], saved_file)
     assert settings.trigger_rate_hz == 10.0  # type: ignore[attr-defined]
     assert "damaged" in capsys.readouterr().err
 
