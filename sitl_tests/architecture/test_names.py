@@ -126,7 +126,7 @@ def test_a_class_name_stands_for_one_thing() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-@pytest.mark.parametrize("name", [*MODULES, *PROGRAMS])
+@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS, **TESTS}))
 def test_no_variable_is_called_by_an_empty_word(name: str) -> None:
     names = {defined for defined in _defined(_tree(ROOT / name)) if (name, defined) not in ON_DISK}
     assert {defined for defined in names if defined.strip("_").lower() in EMPTY_WORDS} == set()

@@ -19,12 +19,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _executable(config: pytest.Config, name: str) -> Path:
     variable = f"SPANWISE_{name.upper()}"
     # the option exists only where pytest was started on this folder
-    given = config.getoption(name, default=None) or os.environ.get(variable)
-    if not given:
+    program = config.getoption(name, default=None) or os.environ.get(variable)
+    if not program:
         pytest.skip(f"no {name} executable: give --{name} FILE or set {variable} (sitl_tests/README.md)")
-    path = Path(given)
+    path = Path(program)
     if not os.access(path, os.X_OK):
-        pytest.fail(f"{given} is not an executable file (--{name} or {variable})")
+        pytest.fail(f"{program} is not an executable file (--{name} or {variable})")
     return path
 
 

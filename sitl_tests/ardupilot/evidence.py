@@ -31,13 +31,13 @@ class Tape:
 
     def made(self, kind: type[T]) -> list[tuple[int, T]]:
         """Records of one kind with the host time of the tick that made them."""
-        found, at_ns = [], 0
+        stamped_records, at_ns = [], 0
         for record in self.records:
             if isinstance(record, Tick):
                 at_ns = record.now_host_ns
             elif isinstance(record, kind):
-                found.append((at_ns, record))
-        return found
+                stamped_records.append((at_ns, record))
+        return stamped_records
 
     def rate_hz(self, station: Station, from_ns: int, to_ns: int) -> float:
         """Samples a second of one sensor between two host times."""
@@ -99,18 +99,20 @@ def boot_clock(report: Mapping[str, Any], tape: Tape) -> tuple[int, list[tuple[f
     outside = []
     for state in states:
         earliest, latest = clock.between(state.at_host_ns)
-        told = state.at_host_ns + state.offset_ns
-        if not earliest - state.bound_ns <= told <= latest + state.bound_ns:
-            outside.append(((told - earliest) * 1e-6, (told - latest) * 1e-6, state.bound_ns * 1e-6))
+        stated_boot_ns = state.at_host_ns + state.offset_ns
+        if not earliest - state.bound_ns <= stated_boot_ns <= latest + state.bound_ns:
+            outside.append(
+                ((stated_boot_ns - earliest) * 1e-6, (stated_boot_ns - latest) * 1e-6, state.bound_ns * 1e-6)
+            )
     bounds = sorted(state.bound_ns for state in states)
     return len(states), outside, bounds[len(bounds) // 2] if bounds else 0
 
 
 def rangefinder_log(folder: Path) -> list[tuple[float, float, int]]:
     """Boot time in s, distance in m and status of every RFND entry of the autopilot's own logs."""
-    found = []
+    entries = []
     for path in sorted((folder / "logs").glob("*.BIN")):
         log = mavutil.mavlink_connection(str(path))
         while (entry := log.recv_match(type=["RFND"])) is not None:
-            found.append((entry.TimeUS * 1e-6, float(entry.Dist), int(entry.Stat)))
-    return found
+            entries.append((entry.TimeUS * 1e-6, float(entry.Dist), int(entry.Stat)))
+    return entries

@@ -36,9 +36,13 @@ class Motion:
 def flight_motion(truth: FlightTruth, duration_s: float) -> Motion:
     """The flight itself, a frame every 1/1200 s from its boot time 0."""
     t_ns = np.arange(round(duration_s * RATE_HZ), dtype=np.int64) * 1_000_000_000 // RATE_HZ
-    seen = truth.series(t_ns)
+    states = truth.series(t_ns)
     return Motion(
-        seen.body_rate_radps, seen.specific_force_mps2, seen.position_ned_m, seen.euler_rad, seen.velocity_ned_mps
+        states.body_rate_radps,
+        states.specific_force_mps2,
+        states.position_ned_m,
+        states.euler_rad,
+        states.velocity_ned_mps,
     )
 
 
@@ -50,13 +54,13 @@ def launch_motion(truth: FlightTruth) -> Motion:
     start = truth.at(0)
     count = round(LAUNCH_S * RATE_HZ)
     u = (np.arange(count) / count)[:, None]
-    share, travelled, push = 3 * u**2 - 2 * u**3, u**3 - u**4 / 2, (6 * u - 6 * u**2) / LAUNCH_S
+    speed_ratio, travelled, push = 3 * u**2 - 2 * u**3, u**3 - u**4 / 2, (6 * u - 6 * u**2) / LAUNCH_S
     velocity = start.velocity_ned_mps
     position = start.position_ned_m + velocity * LAUNCH_S * (travelled - 0.5)
     euler = np.repeat(truth.series(np.zeros(1, dtype=np.int64)).euler_rad, count, axis=0)
     gravity = np.array([0.0, 0.0, GRAVITY_MPS2])
     force = (push * velocity - gravity) @ body_from_ned_matrix(euler[:1])[0].T
-    return Motion(np.zeros((count, 3)), force, position, euler, share * velocity)
+    return Motion(np.zeros((count, 3)), force, position, euler, speed_ratio * velocity)
 
 
 def lines(motion: Motion) -> list[bytes]:

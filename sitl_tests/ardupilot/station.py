@@ -67,10 +67,10 @@ class Station:
     ) -> list[Heard]:
         """Everything of one kind that has come, in order."""
         with self._lock:
-            found = list(self._heard)
+            messages = list(self._heard)
         return [
             entry
-            for entry in found
+            for entry in messages
             if entry.kind == kind
             and entry.at_ns >= since_ns
             and (until_ns is None or entry.at_ns < until_ns)
@@ -144,15 +144,15 @@ class Station:
         for _ in range(tries):
             began = time.monotonic_ns()
             self.say(request)
-            told = self.wait(
+            answer = self.wait(
                 "PARAM_VALUE",
                 lambda entry: entry.param_id == name,
                 component=component,
                 since_ns=began,
                 seconds=seconds,
             )
-            if told is not None:
-                return float(told.param_value)
+            if answer is not None:
+                return float(answer.param_value)
         return None
 
     def close(self) -> None:

@@ -55,9 +55,9 @@ def test_frames_that_are_late_one_time_in_ten_are_the_machines() -> None:
     sent = frames()
     for at_s in np.arange(6.0, 39.0, 0.5):
         sent = stalled(sent, float(at_s), 0.06)
-    told = pace(sent, ticks())
-    assert not told.can_be_judged
-    assert told.frames == pytest.approx(1.0 - 66 * 0.05 / 35, abs=0.01)
+    run_pace = pace(sent, ticks())
+    assert not run_pace.can_be_judged
+    assert run_pace.frames == pytest.approx(1.0 - 66 * 0.05 / 35, abs=0.01)
 
 
 def test_a_physics_that_falls_behind_for_good_is_the_machines() -> None:
@@ -67,9 +67,9 @@ def test_a_physics_that_falls_behind_for_good_is_the_machines() -> None:
 
 
 def test_a_service_that_is_kept_from_its_turns_is_the_machines() -> None:
-    told = pace(frames(), ticks(30))
-    assert not told.can_be_judged
-    assert told.ticks == pytest.approx(0.0, abs=0.01)
+    run_pace = pace(frames(), ticks(30))
+    assert not run_pace.can_be_judged
+    assert run_pace.ticks == pytest.approx(0.0, abs=0.01)
 
 
 def test_half_a_second_without_a_turn_makes_the_rangefinder_dead_and_is_the_machines() -> None:

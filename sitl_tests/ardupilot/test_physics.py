@@ -71,14 +71,14 @@ def test_a_line_is_what_the_json_model_reads(flight: Flight) -> None:
     hanging, flying = frames.line(0), frames.line(round((1.0 + LAUNCH_S + 1.0) * RATE_HZ))
     assert hanging.startswith(b"\n")
     assert hanging.endswith(b"\n")
-    told, later = json.loads(hanging), json.loads(flying)
-    assert told["velocity"] == [0.0, 0.0, 0.0]
+    at_rest, in_flight = json.loads(hanging), json.loads(flying)
+    assert at_rest["velocity"] == [0.0, 0.0, 0.0]
     truth = flight.truth.at(1_000_000_000)
-    assert later["imu"]["gyro"] == pytest.approx(truth.body_rate_radps.tolist(), abs=1e-5)
-    assert later["imu"]["accel_body"] == pytest.approx(truth.specific_force_mps2.tolist(), abs=1e-5)
-    assert later["position"] == pytest.approx(truth.position_ned_m.tolist(), abs=1e-5)
-    assert len(later["attitude"]) == 3
-    assert later["airspeed"] == pytest.approx(float(np.linalg.norm(truth.velocity_ned_mps)), abs=1e-3)
+    assert in_flight["imu"]["gyro"] == pytest.approx(truth.body_rate_radps.tolist(), abs=1e-5)
+    assert in_flight["imu"]["accel_body"] == pytest.approx(truth.specific_force_mps2.tolist(), abs=1e-5)
+    assert in_flight["position"] == pytest.approx(truth.position_ned_m.tolist(), abs=1e-5)
+    assert len(in_flight["attitude"]) == 3
+    assert in_flight["airspeed"] == pytest.approx(float(np.linalg.norm(truth.velocity_ned_mps)), abs=1e-3)
 
 
 def test_the_autopilots_clock_of_whole_microseconds_keeps_time(flight: Flight) -> None:

@@ -24,13 +24,13 @@ def findings(run: Run, *more: str) -> tuple[int, list[dict[str, Any]], str]:
     """Exit code, findings, and everything printed, of a look while the nodes stream."""
     run.launch()
     run.sleep_until(run.flight_ns)
-    told = run.spanwise("doctor", *run.links, "--airframe", "nadir-2m", "--for", "12", "--json", *more, seconds=180.0)
-    start = told.stdout.index("[") if "[" in told.stdout else 0
+    doctor = run.spanwise("doctor", *run.links, "--airframe", "nadir-2m", "--for", "12", "--json", *more, seconds=180.0)
+    start = doctor.stdout.index("[") if "[" in doctor.stdout else 0
     try:
-        entries, _ = json.JSONDecoder().raw_decode(told.stdout[start:])
+        entries, _ = json.JSONDecoder().raw_decode(doctor.stdout[start:])
     except json.JSONDecodeError as error:
-        raise AssertionError(f"{told.stdout}\n{told.stderr}") from error
-    return told.returncode, entries, told.stdout + told.stderr
+        raise AssertionError(f"{doctor.stdout}\n{doctor.stderr}") from error
+    return doctor.returncode, entries, doctor.stdout + doctor.stderr
 
 
 def look(arduplane: Path, folder: Path, parameters: Mapping[str, float]) -> Run:

@@ -161,8 +161,8 @@ def test_the_autopilot_repeats_our_range_as_its_rangefinder(flown: Flown) -> Non
     assert len(used) > 20
     for entry in used:
         # it keeps metres as a float, and cuts where it sends centimetres again
-        told, sent = entry.message.current_distance, sent_just_before(flown, entry.at_ns)
-        assert any(cm - told in (0, 1) for cm in sent), f"{told} cm: a number that we did not send ({sent})"
+        echoed_cm, sent = entry.message.current_distance, sent_just_before(flown, entry.at_ns)
+        assert any(cm - echoed_cm in (0, 1) for cm in sent), f"{echoed_cm} cm: a number that we did not send ({sent})"
 
 
 def test_the_autopilot_flies_on_it(flown: Flown) -> None:

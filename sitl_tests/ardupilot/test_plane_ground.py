@@ -60,33 +60,33 @@ class Ground:
 def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
     folder = tmp_path_factory.mktemp("plane-ground")
     with Run(arduplane, folder, load_airframe("nadir-2m"), "nadir-2m", {"RNGFND1_ORIENT": 25}, SEED) as run:
-        seen = Ground(run)
+        steps = Ground(run)
         station = run.station
         for kind in (mavlink.MAVLink_distance_sensor_message, mavlink.MAVLink_rangefinder_message):
             station.stream(kind, 10)
-        seen.refused = prearm_texts(run)
+        steps.refused = prearm_texts(run)
         run.service()
         run.await_service()
-        seen.service_ns = time.monotonic_ns()
-        run.sleep_until(seen.service_ns + round(SETTLE_S * SECOND_NS))
-        seen.announced = len(station.heard("PARAM_VALUE", COMPANION))
-        exchange_parameters(seen)
-        seen.accepted = prearm_texts(run)
-        arm(seen)
-        capture(seen)
-        run.sleep_until(seen.service_ns + round(RECORDED_S * SECOND_NS))
-        seen.ended_ns = time.monotonic_ns()
-        seen.heartbeats = [entry.message for entry in station.heard("HEARTBEAT", COMPANION, seen.service_ns)]
+        steps.service_ns = time.monotonic_ns()
+        run.sleep_until(steps.service_ns + round(SETTLE_S * SECOND_NS))
+        steps.announced = len(station.heard("PARAM_VALUE", COMPANION))
+        exchange_parameters(steps)
+        steps.accepted = prearm_texts(run)
+        arm(steps)
+        capture(steps)
+        run.sleep_until(steps.service_ns + round(RECORDED_S * SECOND_NS))
+        steps.ended_ns = time.monotonic_ns()
+        steps.heartbeats = [entry.message for entry in station.heard("HEARTBEAT", COMPANION, steps.service_ns)]
         run.end_service()
-    echoes = station.heard("DISTANCE_SENSOR", 1, seen.service_ns + 3 * SECOND_NS, seen.ended_ns)
-    seen.echo = [(entry.message.current_distance * 0.01, entry.message.signal_quality) for entry in echoes]
-    seen.feedback = [
+    echoes = station.heard("DISTANCE_SENSOR", 1, steps.service_ns + 3 * SECOND_NS, steps.ended_ns)
+    steps.echo = [(entry.message.current_distance * 0.01, entry.message.signal_quality) for entry in echoes]
+    steps.feedback = [
         (entry.message.cam_idx, entry.message.img_idx) for entry in station.heard("CAMERA_FEEDBACK", component=1)
     ]
-    seen.tape = Tape(run.recording)
-    began_ns = seen.service_ns + round(SETTLE_S * SECOND_NS)
-    skip_if_busy(frames_ns(run.report), seen.tape.ticks_ns(), began_ns, seen.ended_ns)
-    return seen
+    steps.tape = Tape(run.recording)
+    began_ns = steps.service_ns + round(SETTLE_S * SECOND_NS)
+    skip_if_busy(frames_ns(run.report), steps.tape.ticks_ns(), began_ns, steps.ended_ns)
+    return steps
 
 
 def prearm_texts(run: Run) -> list[str]:
@@ -101,41 +101,41 @@ def prearm_texts(run: Run) -> list[str]:
     return ["the autopilot does not finish its start"]
 
 
-def exchange_parameters(seen: Ground) -> None:
+def exchange_parameters(steps: Ground) -> None:
     """List, set, overreach and misname our parameters from the ground station, through the autopilot."""
-    station = seen.run.station
+    station = steps.run.station
     station.say(mavlink.MAVLink_param_request_list_message(1, COMPANION))
     count = len(list(tunables()))
     ends = time.monotonic() + 15
-    while len(seen.listed) < count and time.monotonic() < ends:
+    while len(steps.listed) < count and time.monotonic() < ends:
         time.sleep(0.1)
-        seen.listed = {
+        steps.listed = {
             entry.message.param_index: entry.message.param_id for entry in station.heard("PARAM_VALUE", COMPANION)
         }
     began = time.monotonic_ns()
-    seen.set_to = station.set("TRG_RATE", 5, COMPANION)
-    seen.set_too_far = station.set("TRG_RATE", 1000, COMPANION)
+    steps.set_to = station.set("TRG_RATE", 5, COMPANION)
+    steps.set_too_far = station.set("TRG_RATE", 1000, COMPANION)
     time.sleep(0.5)
-    seen.set_texts = [e.message.text for e in station.heard("STATUSTEXT", COMPANION, began)]
-    seen.unknown = station.read("NO_SUCH_NAME", COMPANION, seconds=0.5, tries=1)
+    steps.set_texts = [e.message.text for e in station.heard("STATUSTEXT", COMPANION, began)]
+    steps.unknown = station.read("NO_SUCH_NAME", COMPANION, seconds=0.5, tries=1)
 
 
-def arm(seen: Ground) -> None:
+def arm(steps: Ground) -> None:
     """Arm, as soon as the filter is content."""
     for _ in range(20):
-        seen.armed = seen.run.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-        if seen.armed == mavlink.MAV_RESULT_ACCEPTED:
+        steps.armed = steps.run.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        if steps.armed == mavlink.MAV_RESULT_ACCEPTED:
             return
-        seen.run.sleep_until(time.monotonic_ns() + 2 * SECOND_NS)
+        steps.run.sleep_until(time.monotonic_ns() + 2 * SECOND_NS)
 
 
-def capture(seen: Ground) -> None:
+def capture(steps: Ground) -> None:
     """Take pictures with all cameras."""
     for number in range(CAPTURES):
         at_ns = time.monotonic_ns()
-        result = seen.run.station.command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, number + 1)
-        seen.captures.append((at_ns, result))
-        seen.run.sleep_until(at_ns + SECOND_NS // 2)
+        result = steps.run.station.command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, number + 1)
+        steps.captures.append((at_ns, result))
+        steps.run.sleep_until(at_ns + SECOND_NS // 2)
 
 
 # ------------------------------------------------------------------------------------------------------- rates, time

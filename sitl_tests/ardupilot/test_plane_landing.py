@@ -98,15 +98,15 @@ def test_the_stage_is_what_arduplane_says() -> None:
 
 def test_a_flight_that_begins_elsewhere_is_the_same_flight() -> None:
     """Begun at the state that it would have taken by itself, a landing is equal to the last bit."""
-    one = LandingFlight(AIRFRAME, 5, gusts=True)
-    start = trimmed(one.aircraft.plane, one.approach.airspeed_mps)
-    state = start.state(one.approach.height_m, one.approach.start_north_m)
+    usual = LandingFlight(AIRFRAME, 5, gusts=True)
+    start = trimmed(usual.aircraft.plane, usual.approach.airspeed_mps)
+    state = start.state(usual.approach.height_m, usual.approach.start_north_m)
     other = LandingFlight(AIRFRAME, 5, gusts=True, state=state)
-    for flight in (one, other):
+    for flight in (usual, other):
         source = TrueRange(flight)
         for _ in range(100):
             flight.advance(source.reading_m(flight.now_ns))
-    assert np.array_equal(one.truth.knots, other.truth.knots)
+    assert np.array_equal(usual.truth.knots, other.truth.knots)
 
 
 @pytest.mark.long

@@ -65,8 +65,8 @@ def flown(proximity_vehicle: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 def nearest_ahead_m(sectors: ObstacleSectors) -> float | None:
     """The nearest obstacle within 22.5 degrees of straight ahead, the autopilot's sector 0."""
     ahead = [i % 72 for i in range(-4, 5)]
-    known = [float(sectors.distance_m[i]) for i in ahead if sectors.known[i] and not sectors.clear[i]]
-    return min(known, default=None)
+    obstacles_m = [float(sectors.distance_m[i]) for i in ahead if sectors.known[i] and not sectors.clear[i]]
+    return min(obstacles_m, default=None)
 
 
 def sent_ahead(flown: Flown) -> list[tuple[int, float]]:
@@ -87,16 +87,16 @@ def test_the_vehicles_proximity_is_what_we_sent(flown: Flown) -> None:
     """Its sector ahead shows a distance that we sent as shortly before as it forgets, to the centimetre."""
     sent = sent_ahead(flown)
     ahead = [e for e in flown.proximity if e.message.orientation == 0]
-    told = [e for e in ahead if e.message.current_distance < e.message.max_distance]
-    assert len(told) > 20, "proximity ahead was never reported"
+    reports = [e for e in ahead if e.message.current_distance < e.message.max_distance]
+    assert len(reports) > 20, "proximity ahead was never reported"
     strange = []
-    for entry in told:
+    for entry in reports:
         near = [d for at_ns, d in sent if 0.8 * OUT_NS < entry.at_ns - at_ns < OUT_NS + HELD_NS]
         if not any(abs(0.01 * entry.message.current_distance - d) <= 0.015 for d in near):
             strange.append((entry.message.current_distance, sorted(near)))
     assert not strange, strange[:5]
     used = {distance_m for sectors in flown.tape.of(ObstacleSectors) if (distance_m := nearest_ahead_m(sectors))}
-    assert any(min(abs(0.01 * e.message.current_distance - d) for d in used) <= 0.015 for e in told)
+    assert any(min(abs(0.01 * e.message.current_distance - d) for d in used) <= 0.015 for e in reports)
 
 
 def test_it_sees_nothing_where_nothing_was_looked_at(flown: Flown) -> None:

@@ -33,7 +33,7 @@ AIRFRAMES = ("nadir-2m", "forward-2m")
 _LATE_NS = 15 * MS
 _EXPOSURE_NS, _VISION_NS = 2 * MS, 60 * MS
 _EDGE_PX = 8.0
-_SIGMAS, _SHARE = 5.0, 0.05
+_SIGMAS, _ERROR_RATIO = 5.0, 0.05
 _WAVES_M = np.array([200.0, 120.0, 60.0, 30.0, 20.0])
 _HEIGHTS = np.array([1.0, 0.7, 0.4, 0.25, 0.15])
 
@@ -209,7 +209,7 @@ def fly(airframe: str, fault: CameraFault, seed: int, view: View | None = None) 
     error_m = np.array([abs(entry.range_m - eyes.truth_m[entry.pair_id]) for entry in trusted])
     true_m = np.array([eyes.truth_m[entry.pair_id] for entry in trusted])
     sigma_m = np.array([entry.sigma_m for entry in trusted])
-    far = error_m > _SHARE * true_m
+    far = error_m > _ERROR_RATIO * true_m
     since_s = (eyes.knock_ns or 0) * 1e-9 - 0.5
     at_s = np.array([1e-9 * (entry.t_host_ns - EPOCH_NS) for entry in trusted])
     again_s = float(np.max(np.diff([*at_s[at_s > since_s], at_s[-1] + 0.1]))) if len(at_s) else np.inf

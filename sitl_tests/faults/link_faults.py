@@ -165,20 +165,20 @@ def _fly(cable: Cable, pilot: MavlinkAutopilot) -> tuple[list[tuple[int, float]]
     """Numbers of the samples that were sent and that were heard, each with its time; a number is its stamp in us."""
     packer, sent, heard = mavlink.MAVLink(None, 1, 200), [], []
     began_s = time.monotonic()
-    whole, next_s, done_s = True, began_s, None
+    connected, next_s, done_s = True, began_s, None
     while done_s is None or time.monotonic() < done_s:
         now_s = time.monotonic()
-        if whole and began_s + BEFORE_S <= now_s < began_s + BEFORE_S + BROKEN_S:
-            whole = False
+        if connected and began_s + BEFORE_S <= now_s < began_s + BEFORE_S + BROKEN_S:
+            connected = False
             cable.cut()
-        elif not whole and now_s >= began_s + BEFORE_S + BROKEN_S:
-            whole = True
+        elif not connected and now_s >= began_s + BEFORE_S + BROKEN_S:
+            connected = True
             cable.mend()
         if now_s >= next_s:
             next_s += PERIOD_S
             number = len(sent) + 1
             sent.append((number, now_s))
-            if whole:
+            if connected:
                 values = (0.0, 0.0, -9.8, 0.0, 0.0, 0.0)
                 cable.send(mavlink.MAVLink_highres_imu_message(number, *values, *[0] * 7, 63).pack(packer))
         for record in pilot.poll(0.001):
@@ -260,9 +260,9 @@ def second_sender(name: str) -> LinkOutcome:
             if 200 <= number < 600:
                 thief.sample(90_000_000 + 5000 * number, -3.0)
             port.run(0.01)
-        told = [text for text in port.texts() if thief.where in text]
+        warnings = [text for text in port.texts() if thief.where in text]
         taken = port.samples()
-        return LinkOutcome(name, f"refused, told {len(told)} x by name", 0.0, 800 - taken[-9.8], taken[-3.0])
+        return LinkOutcome(name, f"refused, told {len(warnings)} x by name", 0.0, 800 - taken[-9.8], taken[-3.0])
     finally:
         port.close()
 
@@ -294,9 +294,9 @@ def silencing(name: str, setting: str, value: float) -> LinkOutcome:
     tape = service.fly(20.0)
     service.close()
     active = next(status for status in tape.of(ServiceStatus) if status.health is Health.ACTIVE)
-    told = next(notice for notice in tape.of(Notice) if notice.text.startswith("no range"))
-    waited_s = (told.at_host_ns - active.at_host_ns) * 1e-9
-    return LinkOutcome(name, told.text, waited_s, None, sum(entry.trusted for entry in tape.of(CorrectedRange)))
+    explanation = next(notice for notice in tape.of(Notice) if notice.text.startswith("no range"))
+    waited_s = (explanation.at_host_ns - active.at_host_ns) * 1e-9
+    return LinkOutcome(name, explanation.text, waited_s, None, sum(entry.trusted for entry in tape.of(CorrectedRange)))
 
 
 def outcomes() -> Iterator[LinkOutcome]:

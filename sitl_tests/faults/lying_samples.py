@@ -32,8 +32,8 @@ class Hand:
 
     def _concerns(self, frame: bytes) -> bool:
         identity = int.from_bytes(frame[_IDENTITY], "little")
-        own = frame[0] == _VERSION_2 and frame[_COMPONENT] == self.component
-        return own and identity == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
+        from_component = frame[0] == _VERSION_2 and frame[_COMPONENT] == self.component
+        return from_component and identity == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
 
     def _altered(self, frame: bytes, rng: np.random.Generator) -> bytes:
         message = mavlink.MAVLink(None).decode(bytearray(frame))

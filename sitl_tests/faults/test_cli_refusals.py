@@ -157,19 +157,21 @@ def test_a_bad_input_is_one_sentence(
     }  # fmt: skip
     free = free_port()
     numbers = {"{taken}": str(taken_port), "{free}": str(free)}
-    given = [_filled(word, {mark: str(tmp_path / name) for mark, name in places.items()} | numbers) for word in words]
+    arguments = [
+        _filled(word, {mark: str(tmp_path / name) for mark, name in places.items()} | numbers) for word in words
+    ]
     try:
-        code = main(given)
+        code = main(arguments)
     except SystemExit as left:  # argparse's own way
         code = left.code  # type: ignore[assignment]
-    told = capfd.readouterr().err
-    assert code == expected, told
+    stderr = capfd.readouterr().err
+    assert code == expected, stderr
     assert Path("/dev/full").is_char_device(), "a device that cannot be written is not removed"
-    assert "Traceback" not in told
-    assert told.strip(), "something is said"
+    assert "Traceback" not in stderr
+    assert stderr.strip(), "something is said"
     if expected == BAD:
-        sentences = [line for line in told.strip().splitlines() if line.startswith("spanwise")]
-        assert len(sentences) == 1, told
+        sentences = [line for line in stderr.strip().splitlines() if line.startswith("spanwise")]
+        assert len(sentences) == 1, stderr
 
 
 def _filled(word: str, places: dict[str, str]) -> str:
@@ -212,8 +214,8 @@ def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
         with pytest.raises(subprocess.TimeoutExpired):
             flying.wait(4.0)
         flying.send_signal(signal.SIGINT)
-        _, told = flying.communicate(timeout=30)
+        _, stderr = flying.communicate(timeout=30)
     finally:
         flying.kill()
     assert flying.returncode == STOPPED
-    assert told == "spanwise simulate: stopped\n"
+    assert stderr == "spanwise simulate: stopped\n"

@@ -83,9 +83,9 @@ def test_a_tick_that_raises_costs_seconds_and_a_replay_repeats_it(
     capsys.readouterr()
     raised.clear()
     assert main(["replay", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["reproduced"] is True
-    assert told["rejected"][str(Reject.INTERNAL_ERROR)] == 1
+    replay_report = json.loads(capsys.readouterr().out)
+    assert replay_report["reproduced"] is True
+    assert replay_report["rejected"][str(Reject.INTERNAL_ERROR)] == 1
 
 
 def test_ticks_that_go_on_raising_are_told_once_a_second_and_not_called_active(monkeypatch: pytest.MonkeyPatch) -> None:

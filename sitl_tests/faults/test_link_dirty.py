@@ -59,10 +59,10 @@ class Loopback:
 
     def hear(self) -> list[Any]:
         """Bytes that the adapter sent to the autopilot's port."""
-        found = []
+        messages = []
         while select.select([self.sockets[1]], [], [], 0.02)[0]:
-            found += self.parser.parse_buffer(self.sockets[1].recv(65536)) or []
-        return found
+            messages += self.parser.parse_buffer(self.sockets[1].recv(65536)) or []
+        return messages
 
 
 @pytest.fixture

@@ -206,10 +206,10 @@ def test_the_largest_datagram_arrives_whole(held: Held) -> None:
 
 
 def test_several_links_are_waited_for_at_once(held: Held) -> None:
-    (one, _), (two, port) = listening(held), listening(held)
+    (silent, _), (addressed, port) = listening(held), listening(held)
     held.udp().sendto(b"second", ("127.0.0.1", port))
-    ready, _, _ = select.select([one, two], [], [], 2.0)
-    assert ready == [two]
+    ready, _, _ = select.select([silent, addressed], [], [], 2.0)
+    assert ready == [addressed]
 
 
 def test_a_lost_tcp_connection_comes_back(held: Held) -> None:

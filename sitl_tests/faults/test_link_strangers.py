@@ -183,10 +183,10 @@ def test_a_second_sender_of_a_nodes_id_is_refused_and_told_by_name(port: Port, k
         port.run(0.01)
     assert set(port.samples()) == {-9.8}
     assert port.samples()[-9.8] == 400
-    told = [text for text in port.texts() if f"1/{NODE}" in text]
-    assert len(told) == 1, "calmly"
-    assert second.where in told[0]
-    assert first.where in told[0]
+    warnings = [text for text in port.texts() if f"1/{NODE}" in text]
+    assert len(warnings) == 1, "calmly"
+    assert second.where in warnings[0]
+    assert first.where in warnings[0]
     refused = [record for record in port.records if isinstance(record, Rejected) and str(NODE) in record.what]
     assert sum(record.count for record in refused) > 300
     assert {record.reason for record in refused} == {Reject.FOREIGN_SOURCE}
@@ -225,9 +225,9 @@ def test_two_senders_behind_one_address_are_told(ahead_us: int) -> None:
                 if number > 20 or node is nodes[0]:
                     router.send(bytes(message.pack(node)))
             port.run(0.01)
-        told = [text for text in port.texts() if "two senders" in text]
-        assert len(told) == 1
-        assert f"component {NODE}" in told[0]
+        warnings = [text for text in port.texts() if "two senders" in text]
+        assert len(warnings) == 1
+        assert f"component {NODE}" in warnings[0]
         assert port.samples() == {-9.8: 600}, "the first keeps its place"
     finally:
         port.close()
@@ -333,10 +333,10 @@ def test_a_flood_of_frames_is_sifted_in_little_time() -> None:
     udp.senders.guarded = frozenset((1, NODE))
     node = Talker(("127.0.0.1", udp.port), NODE)
     frame = node.sample_frame(1)
-    begun_s, seen = time.process_time(), 0
+    begun_s, passed_bytes = time.process_time(), 0
     for _ in range(500):
-        seen += len(udp._sifted(("127.0.0.1", 9), frame * 100, GUARDED_FRAMES, 0))
-    assert seen == 500 * 100 * len(frame)
+        passed_bytes += len(udp._sifted(("127.0.0.1", 9), frame * 100, GUARDED_FRAMES, 0))
+    assert passed_bytes == 500 * 100 * len(frame)
     assert time.process_time() - begun_s < 0.5
     node.socket.close()
     udp.close()

@@ -24,10 +24,10 @@ def test_no_file_is_no_problem(tmp_path: Path) -> None:
 
 
 @given(st.dictionaries(st.sampled_from(ROWS), st.floats(0, 1), max_size=len(ROWS)))
-def test_what_is_stored_is_loaded_exactly(tmp_path_factory: pytest.TempPathFactory, shares: dict) -> None:
+def test_what_is_stored_is_loaded_exactly(tmp_path_factory: pytest.TempPathFactory, fractions: dict) -> None:
     values = {}
-    for row, share in shares.items():
-        value = row.minimum + share * (row.maximum - row.minimum)
+    for row, fraction in fractions.items():
+        value = row.minimum + fraction * (row.maximum - row.minimum)
         values[row.name] = float(round(value)) if row.integer else min(max(value, row.minimum), row.maximum)
     path = tmp_path_factory.mktemp("params") / "p"
     store(path, values)

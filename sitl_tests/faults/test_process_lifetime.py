@@ -83,7 +83,7 @@ class Flight:
 
 
 def processes_of(parent: int) -> list[tuple[int, str]]:
-    found = []
+    children = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
@@ -92,8 +92,8 @@ def processes_of(parent: int) -> list[tuple[int, str]]:
             except OSError:
                 continue
             if int(status[1]) == parent:
-                found.append((int(entry.name), line))
-    return found
+                children.append((int(entry.name), line))
+    return children
 
 
 def alive(pid: int) -> bool:
@@ -250,9 +250,9 @@ def record_on_a_full_disk(folder: Path, room: int = 0) -> tuple[int, float]:
         patch.setattr(recorder_room, "_TRY_AGAIN_S", 0.3)
         patch.setattr(recorder_room, "McapWriter", FullDisk)
         patch.setattr(FullDisk, "room", room)
-        mine, theirs = recorder_channel()
-        client, said, longest_s = RecorderClient(mine), [], 0.0
-        thread = threading.Thread(target=keep_recording, args=(folder / "a.mcap", ABOUT, [theirs], said.append))
+        client_end, recorder_end = recorder_channel()
+        client, said, longest_s = RecorderClient(client_end), [], 0.0
+        thread = threading.Thread(target=keep_recording, args=(folder / "a.mcap", ABOUT, [recorder_end], said.append))
         thread.start()
         for number in range(100):
             begun_s = time.monotonic()

@@ -102,8 +102,8 @@ class Deaf:
 @pytest.mark.slow
 def test_a_live_change_survives_the_death_of_the_inertial_process(service: Service, port: int, tmp_path: Path) -> None:
     vehicle = Vehicle(port)
-    told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
-    assert told.param_value == Settings().trigger_rate_hz
+    answer = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
+    assert answer.param_value == Settings().trigger_rate_hz
     vehicle.until("PARAM_VALUE", lambda m: m.param_value == 7.5, 30.0, lambda: vehicle.set("TRG_RATE", 7.5))
     files = [folder / "parameters" for folder in (tmp_path, Path(service._scratch.name))]
     ends_s = time.monotonic() + 30.0
@@ -119,9 +119,9 @@ def test_a_live_change_survives_the_death_of_the_inertial_process(service: Servi
     assert len(service.tend()) == 1
     while vehicle.link.recv_match(blocking=False) is not None:
         pass  # what was said before
-    told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
+    answer = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
     print(f"answers again {time.monotonic() - killed_s:.2f} s after it was killed")
-    assert told.param_value == 7.5
+    assert answer.param_value == 7.5
 
 
 def killed_and_back(service: Service, vehicle: Vehicle) -> float:
@@ -181,19 +181,19 @@ class Flashes:
 def test_pairs_are_numbered_on_when_vision_starts_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ranges, images and the demo's judge tell pairs apart by their numbers alone."""
     monkeypatch.setattr(wiring, "_ignore_interrupt", lambda: None)
-    (told_in, told), (matches_in, matches) = channel(), channel()
-    seen = []
+    (updates_in, updates), (matches_in, matches) = channel(), channel()
+    pair_ids = []
     for _ in range(2):
         stop: Any = threading.Event()
         config = ServiceConfig(
             airframe=load_airframe("nadir-2m"), settings=Settings(), connections=(), trigger=Deaf,
             cameras=lambda stop=stop: Flashes(stop),
         )  # fmt: skip
-        wiring._vision_process(config, {}, told, matches_in, None, None, stop)
-        seen += [record.pair_id for record in matches.receive() if isinstance(record, MatchSet)]
+        wiring._vision_process(config, {}, updates, matches_in, None, None, stop)
+        pair_ids += [record.pair_id for record in matches.receive() if isinstance(record, MatchSet)]
         time.sleep(0.01)
-    told_in.end.close()
-    assert len(seen) == len(set(seen)) == 6
+    updates_in.end.close()
+    assert len(pair_ids) == len(set(pair_ids)) == 6
 
 
 def test_a_trigger_without_realtime_priority_is_told_to_the_ground() -> None:

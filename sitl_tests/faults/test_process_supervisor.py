@@ -23,7 +23,7 @@ class Process:
         turns = [argument for argument in args if isinstance(argument, StandbyGate)]
         self.end = turns[0].end.dup() if turns else None  # as it is in another process
 
-    def told(self) -> bool:
+    def released(self) -> bool:
         """Whether its turn has come."""
         assert self.end is not None
         self.end.setblocking(False)
@@ -71,39 +71,39 @@ class Tended:
 
 
 @pytest.fixture
-def one(monkeypatch: pytest.MonkeyPatch) -> Tended:
+def alone(monkeypatch: pytest.MonkeyPatch) -> Tended:
     return Tended(monkeypatch)
 
 
-def test_a_single_death_is_mended_at_once(one: Tended) -> None:
-    one.tended(1.0)
-    one.die()
-    assert [sentence for _, sentence in one.tended(0.25)] == ["process vision ended (1); started again (try 1)"]
-    assert one.worker.alive()
-    assert one.tended(5.0) == []
-    assert one.supervisor.failed() == []
+def test_a_single_death_is_mended_at_once(alone: Tended) -> None:
+    alone.tended(1.0)
+    alone.die()
+    assert [sentence for _, sentence in alone.tended(0.25)] == ["process vision ended (1); started again (try 1)"]
+    assert alone.worker.alive()
+    assert alone.tended(5.0) == []
+    assert alone.supervisor.failed() == []
 
 
-def test_what_never_ran_is_given_up_after_a_few_tries(one: Tended) -> None:
-    said = one.tended(60.0, doomed=True)
+def test_what_never_ran_is_given_up_after_a_few_tries(alone: Tended) -> None:
+    said = alone.tended(60.0, doomed=True)
     assert len(said) == 5
-    assert one.supervisor.failed() == ["vision"]
+    assert alone.supervisor.failed() == ["vision"]
     pauses = [after - before for (before, _), (after, _) in itertools.pairwise(said)]
     assert pauses == sorted(pauses), "each pause is longer"
-    assert one.tended(60.0, doomed=True) == []
+    assert alone.tended(60.0, doomed=True) == []
 
 
-def test_what_has_run_is_never_given_up_and_comes_back(one: Tended) -> None:
-    one.tended(61.0)
-    said = one.tended(600.0, doomed=True)
+def test_what_has_run_is_never_given_up_and_comes_back(alone: Tended) -> None:
+    alone.tended(61.0)
+    said = alone.tended(600.0, doomed=True)
     assert len(said) > 15
     assert max(after - before for (before, _), (after, _) in itertools.pairwise(said)) <= 31.0
-    assert one.supervisor.failed() == []
-    one.tended(31.0)
-    assert one.worker.alive(), "the camera is plugged in again"
-    one.tended(61.0)
-    one.die()
-    assert "started again" in one.tended(0.25)[0][1], "all is forgiven after a steady minute"
+    assert alone.supervisor.failed() == []
+    alone.tended(31.0)
+    assert alone.worker.alive(), "the camera is plugged in again"
+    alone.tended(61.0)
+    alone.die()
+    assert "started again" in alone.tended(0.25)[0][1], "all is forgiven after a steady minute"
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def prepared(process: Any) -> None:
 def test_a_spare_is_made_when_the_first_has_settled_and_takes_over_at_once(spared: Tended) -> None:
     worker = spared.worker
     first: Any = worker.process
-    assert first.told(), "the first has nothing to wait for"
+    assert first.released(), "the first has nothing to wait for"
     spared.tended(30.0)
     assert worker.spare is None, "while the first compiles, nobody else does"
     prepared(first)
@@ -129,11 +129,11 @@ def test_a_spare_is_made_when_the_first_has_settled_and_takes_over_at_once(spare
     assert worker.spare is not None
     spare: Any = worker.spare.process
     prepared(spare)
-    assert not spare.told()
+    assert not spare.released()
     spared.die()
     assert [sentence for _, sentence in spared.tended(0.25)] == ["process vision ended (1); spare takes over (try 1)"]
     assert worker.process is spare
-    assert spare.told()
+    assert spare.released()
     assert worker.spare is None
     spared.tended(6.0)
     assert worker.spare is not None, "and the next is made"
@@ -158,7 +158,7 @@ def test_a_spare_that_dies_is_made_again_a_minute_later_and_missed_by_nobody(spa
     worker.spare.process.exitcode = 1  # type: ignore[misc]
     spared.die()
     assert "started again" in spared.tended(0.25)[0][1]
-    assert worker.process.told()  # type: ignore[union-attr]
+    assert worker.process.released()  # type: ignore[union-attr]
     lost.end.close()
     first.end.close()
 

@@ -40,12 +40,14 @@ def open_folder() -> Iterator[Path]:
         yield place
 
 
-def as_nobody(place: Path, *command: str, timeout_s: float = 120.0, **given: str) -> subprocess.CompletedProcess[str]:
+def as_nobody(
+    place: Path, *command: str, timeout_s: float = 120.0, **variables: str
+) -> subprocess.CompletedProcess[str]:
     surroundings = {
         "PATH": os.environ["PATH"],
         "PYTHONPATH": str(place / "tree"),
         "PYTHONDONTWRITEBYTECODE": "1",
-        **given,
+        **variables,
     }
     return subprocess.run(
         [*_AS_NOBODY, *command], cwd="/", env=surroundings, capture_output=True, text=True, timeout=timeout_s

@@ -272,6 +272,6 @@ def test_over_a_signed_link_only_the_signed_station_sets_and_the_recording_repla
     decoder = Decoder(load_airframe("nadir-2m"), COMPANION)
     chunks = [record for record in air.records if isinstance(record, RawChunk)]
     again = [repr(record) for chunk in chunks for record in decoder.decode_chunk(chunk)]
-    kept = (RawChunk, Notice, ParameterChange)
-    assert again == [repr(record) for record in air.records if not isinstance(record, kept)]
+    adapter_kinds = (RawChunk, Notice, ParameterChange)
+    assert again == [repr(record) for record in air.records if not isinstance(record, adapter_kinds)]
     assert decoder.system_id == SYSTEM

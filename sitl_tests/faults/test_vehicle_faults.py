@@ -69,8 +69,8 @@ def test_the_table_is_put_between_its_marks_and_replaced(tmp_path: Path) -> None
 def test_one_flight_is_told_in_a_line() -> None:
     usual = Outcome("none", 0.0, 0.2, 100, 0, {}, 0, 90, (Health.ACTIVE,))
     worst = Outcome("cut", 1.0, 1.5, 100, 3, {}, 2, 50, (Health.ACTIVE, Health.CRITICAL))
-    told = line(7, [usual, worst])
-    assert told == "seed 7: 2 faults, 140 ranges trusted, 2 wrong; longest time without a range 1.50 s (cut)"
+    summary = line(7, [usual, worst])
+    assert summary == "seed 7: 2 faults, 140 ranges trusted, 2 wrong; longest time without a range 1.50 s (cut)"
 
 
 def test_asking_for_help_strikes_nothing(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,7 +34,7 @@ from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, SimulatedServi
 BEGIN_S, END_S, OVER_S = 13.0, 15.0, 24.0
 SEED = 6  # of the flight whose table the README shows
 _BEGIN_MARK, _END_MARK = "<!-- fault table: begin (generated) -->", "<!-- fault table: end -->"
-_SIGMAS, _SHARE = 5.0, 0.05
+_SIGMAS, _ERROR_RATIO = 5.0, 0.05
 
 Meddle = Callable[[list[bytes], np.random.Generator], list[bytes]]
 
@@ -204,7 +204,7 @@ def _judge(fault: Fault, service: SimulatedService, sent: int) -> Outcome:
             now_s = (record.now_host_ns - EPOCH_NS) * 1e-9
         elif isinstance(record, CorrectedRange) and record.trusted:
             error_m = abs(record.range_m - GROUND_M)
-            wrong += error_m > _SIGMAS * record.sigma_m and error_m > _SHARE * GROUND_M
+            wrong += error_m > _SIGMAS * record.sigma_m and error_m > _ERROR_RATIO * GROUND_M
             if now_s >= fault.begin_s:
                 trusted_s.append(now_s)
         elif isinstance(record, Rejected) and fault.begin_s <= now_s < OVER_S:
@@ -280,11 +280,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[], help="of other flights: printed, not written")
     parser.add_argument("--fault", default="", help="with --seeds: only those whose name contains this")
     options = parser.parse_args(arguments)
-    outcomes = [_told(seed, options.fault) for seed in options.seeds] if options.seeds else [_written()]
+    outcomes = [_printed(seed, options.fault) for seed in options.seeds] if options.seeds else [_written()]
     return int(any(entry.wrong for flight in outcomes for entry in flight))
 
 
-def _told(seed: int, name: str) -> list[Outcome]:
+def _printed(seed: int, name: str) -> list[Outcome]:
     """Strike a flight and print a row for each fault, then the line."""
     outcomes = []
     for outcome in strike_all(seed, name):

@@ -27,13 +27,13 @@ def main() -> int:
         return _again(names[0], options.seed, options.case)
     share_s = options.seconds * options.jobs / len(names)
 
-    def one(name: str) -> Result:
+    def fuzz_target(name: str) -> Result:
         result = fuzz(functools.partial(make_target, name), options.seed, seconds=share_s, folder=_FOLDER)
         print(f"{name}: {result.cases} cases, {len(result.findings)} findings", file=sys.stderr, flush=True)
         return result
 
     with ThreadPoolExecutor(options.jobs) as pool:
-        results = list(pool.map(one, names))
+        results = list(pool.map(fuzz_target, names))
     for finding in (finding for result in results for finding in result.findings):
         last = ascii(finding.problem.strip().splitlines()[-1][:160])
         print(f"{finding.target}, seed {finding.seed}, case {finding.number}: {last} (kept in {_FOLDER})")
@@ -44,9 +44,9 @@ def main() -> int:
 def _again(name: str, seed: int, number: int) -> int:
     target = make_target(name)
     target.warm()
-    told = run_case(target, make_case(target, seed, number), number)
-    print(told.problem or told.ending)
-    return 1 if told.problem else 0
+    report = run_case(target, make_case(target, seed, number), number)
+    print(report.problem or report.ending)
+    return 1 if report.problem else 0
 
 
 if __name__ == "__main__":

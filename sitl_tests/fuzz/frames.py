@@ -57,7 +57,7 @@ def pieces(data: bytes) -> Iterator[bytes]:
 
 def joined(parts: list[bytes]) -> bytes:
     """A case of these datagrams."""
-    return b"".join(_LENGTH.pack(len(part)) + part for part in parts)
+    return b"".join(_LENGTH.pack(len(datagram)) + datagram for datagram in parts)
 
 
 class DecoderTarget:
@@ -90,9 +90,9 @@ class DecoderTarget:
 
     def run(self, data: bytes) -> Ending:
         decoder = Decoder(self._airframe, component_id=191)
-        for number, part in enumerate(pieces(data)):
-            _same_frames(part)
-            _finite(decoder, RawChunk(0, (number + 1) * 10 * MS, part))
+        for number, datagram in enumerate(pieces(data)):
+            _same_frames(datagram)
+            _finite(decoder, RawChunk(0, (number + 1) * 10 * MS, datagram))
         self.counts["frames accepted"] += decoder.counters(0).frames
         return Ending.DATA
 

@@ -54,7 +54,7 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _CaseReport:
     """Word of the child on a case."""
 
     number: int
@@ -108,20 +108,20 @@ def fuzz(
             child.load()
             began = began or time.monotonic()
             while going():
-                told = child.next_case()
-                next_case = told.number + 1
+                report = child.next_case()
+                next_case = report.number + 1
                 result.cases += 1
-                result.slowest_s = max(result.slowest_s, told.took_s)
-                result.counts += told.counts
-                if told.problem:
-                    finding = Finding(target.name, seed, told.number, told.problem)
+                result.slowest_s = max(result.slowest_s, report.took_s)
+                result.counts += report.counts
+                if report.problem:
+                    finding = Finding(target.name, seed, report.number, report.problem)
                     result.findings.append(finding)
                     if folder is not None:
-                        _keep(folder, finding, make_case(target, seed, told.number))
-                    if not told.alive:
+                        _keep(folder, finding, make_case(target, seed, report.number))
+                    if not report.alive:
                         break
                 else:
-                    result.endings[told.ending] += 1
+                    result.endings[report.ending] += 1
         finally:
             child.end()
     return result
@@ -148,20 +148,20 @@ class _Child:
             self._process.join(_PATIENCE_S)
         raise RuntimeError(f"the target does not start: code {self._process.exitcode}")
 
-    def next_case(self) -> _Told:
+    def next_case(self) -> _CaseReport:
         """Run a single case and say how it ended."""
         number = self._number
         self._number += 1
         try:
             self._ours.send(True)
             if self._ours.poll(self._patience_s):
-                told: _Told = self._ours.recv()
-                return told
+                report: _CaseReport = self._ours.recv()
+                return report
             problem = f"no end after {self._patience_s:.0f} s, not even by an alarm"
-            return _Told(number, problem=problem, took_s=self._patience_s, alive=False)
+            return _CaseReport(number, problem=problem, took_s=self._patience_s, alive=False)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self._process.join(_PATIENCE_S)
-            return _Told(number, problem=f"the process ended with code {self._process.exitcode}", alive=False)
+            return _CaseReport(number, problem=f"the process ended with code {self._process.exitcode}", alive=False)
 
     def end(self) -> None:
         """Stop it, wherever it is."""
@@ -188,7 +188,7 @@ def _run_cases(make: Callable[[], Target], seed: int, first: int, pipe: Connecti
         pass
 
 
-def run_case(target: Target, data: bytes, number: int = 0) -> _Told:
+def run_case(target: Target, data: bytes, number: int = 0) -> _CaseReport:
     """Run one input under the target's time limit, and put what it raises into words."""
     target.counts = Counter()
     ending, problem, began = "", "", time.process_time()
@@ -202,7 +202,7 @@ def run_case(target: Target, data: bytes, number: int = 0) -> _Told:
         alarm.stop()
     if alarm.rang and TooSlow.__name__ not in problem:
         problem = f"{problem}\n{TooSlow.__name__}: more than {target.limit_s:g} s, and the alarm was swallowed"
-    return _Told(number, ending, problem, time.process_time() - began, target.counts)
+    return _CaseReport(number, ending, problem, time.process_time() - began, target.counts)
 
 
 class _Alarm:

@@ -54,9 +54,9 @@ def message(kind: bytes, body: bytes) -> bytes:
 
 def test_a_ulog_cut_in_its_definitions_ends(tmp_path: Path) -> None:
     """pyulog went back by a message's whole length at the end of the file, and read it again, for ever."""
-    whole = px4.three_imus(40).data
+    log_bytes = px4.three_imus(40).data
     with pytest.raises(RecordingError, match="no inertial samples"):
-        ulog(tmp_path, whole[:60] + b"\xff\xff\x00" + whole[60:90])
+        ulog(tmp_path, log_bytes[:60] + b"\xff\xff\x00" + log_bytes[60:90])
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_ulog_formats_nested_as_a_bomb_cost_nothing(tmp_path: Path) -> None:
 def test_a_ulog_is_read_on_behind_damage(tmp_path: Path) -> None:
     """A length field that swallows what follows, and garbage, cost the messages that they hit."""
     log = px4.three_imus(400)
-    whole = sum(len(batch.t_ns) for batch in ulog(tmp_path, log.data))
+    sample_count = sum(len(batch.t_ns) for batch in ulog(tmp_path, log.data))
     middle = log.data.index(b"D\0\0" + struct.pack("<QQ", 205_300, 205_000)) - 2
     swallowed = log.data[:middle] + b"\xff\x0f" + log.data[middle + 2 :]
     garbage = log.data[:middle] + np.random.default_rng(1).bytes(3000) + log.data[middle:]
     for data in (swallowed, garbage):
-        kept = sum(len(batch.t_ns) for batch in ulog(tmp_path, data))
-        assert whole - 150 <= kept < whole + 1
+        remaining_count = sum(len(batch.t_ns) for batch in ulog(tmp_path, data))
+        assert sample_count - 150 <= remaining_count < sample_count + 1
 
 
 def test_a_megabyte_of_noise_in_a_ulog_costs_seconds_at_most(tmp_path: Path) -> None:
@@ -160,18 +160,18 @@ def test_a_damaged_message_in_a_whole_chunk_is_left_out_and_told(tmp_path: Path)
     from sitl_tests.fuzz.structured import mcap_record
 
     path, rng = tmp_path / "a.mcap", np.random.default_rng(5)
-    whole = corpora.mcaps()[0]
-    told = 0
+    undamaged = corpora.mcaps()[0]
+    warned_count = 0
     for _ in range(60):
-        path.write_bytes(mcap_record(whole, rng))
+        path.write_bytes(mcap_record(undamaged, rng))
         try:
             recording = McapRecording(path)
         except (RecordingError, ConfigError):
             continue
         for _ in recording.records():
             pass
-        told += any("a message of" in notice.text for notice in recording.notices)
-    assert told > 3
+        warned_count += any("a message of" in notice.text for notice in recording.notices)
+    assert warned_count > 3
 
 
 @pytest.mark.parametrize("kind", [0, 8, 10, 11, 19, 2**16 - 1])

@@ -102,8 +102,8 @@ class Browser:
             time.sleep(0.2)
         raise AssertionError(f"never true within {within_s} s: {expression}; said: {self.complaints}")
 
-    def screenshot(self, path: Path, *, whole: bool = True) -> None:
-        picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
+    def screenshot(self, path: Path, *, full_page: bool = True) -> None:
+        picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=full_page)["data"]
         path.write_bytes(base64.b64decode(picture))
 
     def _receive(self) -> dict[str, Any]:

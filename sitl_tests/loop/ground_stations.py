@@ -210,7 +210,7 @@ class Air:
         seed: int = 1,
         settings: Settings | None = None,
         store: Store | None = None,
-        kept: dict[str, float] | None = None,
+        stored_values: dict[str, float] | None = None,
     ) -> None:
         self.clock, self.wire = TurnedClock(), Wire()
         self.stations = list(stations)
@@ -222,7 +222,7 @@ class Air:
             load_airframe("nadir-2m"),
             chosen,
             self.clock,
-            component=OnboardComponent(ParameterServer(chosen, store, kept)),
+            component=OnboardComponent(ParameterServer(chosen, store, stored_values)),
         )
         self.beats = mavlink.MAVLink(None, SYSTEM, 1)
         self.parser = mavlink.MAVLink(None)

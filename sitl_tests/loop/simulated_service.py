@@ -65,7 +65,7 @@ class Cameras:
     def warnings(self) -> list[str]:
         return []
 
-    def seen(self) -> list[Record]:
+    def ready_matches(self) -> list[Record]:
         """Matches that vision has ready by now."""
         ready: list[Record] = []
         while self.coming and self.coming[0].matched_host_ns <= self.clock.now_ns():
@@ -111,12 +111,12 @@ class Tape:
 
     def of(self, kind: type[Any], since_s: float = 0.0, until_s: float = 1e9) -> list[Any]:
         """Records of one kind with the flight seconds in between; the time is that of the last tick before."""
-        found, at_s = [], 0.0
+        of_kind, at_s = [], 0.0
         for record in self.records:
             at_s = (getattr(record, "now_host_ns", 0) - EPOCH_NS) * 1e-9 if hasattr(record, "now_host_ns") else at_s
             if isinstance(record, kind) and since_s <= at_s < until_s:
-                found.append(record)
-        return found
+                of_kind.append(record)
+        return of_kind
 
 
 class SimulatedService:
@@ -149,7 +149,7 @@ class SimulatedService:
             autopilot=self.autopilot,
             clock=self.clock,
             shots=self.cameras,
-            inbox=self.cameras.seen,
+            inbox=self.cameras.ready_matches,
             show=lambda record: None,
             recorder=recorder,
         )

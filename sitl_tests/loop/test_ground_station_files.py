@@ -80,8 +80,8 @@ def test_every_file_arrives_whole(monkeypatch: pytest.MonkeyPatch, path: str, lo
 def test_the_list_names_every_file_with_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
     ftp, _ = client(monkeypatch)
     listed = ftp.cmd_list(["/"])
-    found = {entry.name: entry.size_b for entry in listed.directory_listing}
-    assert found == {path[1:]: len(content) for path, content in FILES.items()}
+    sizes_b = {entry.name: entry.size_b for entry in listed.directory_listing}
+    assert sizes_b == {path[1:]: len(content) for path, content in FILES.items()}
 
 
 def test_nothing_can_be_written_and_unknown_files_are_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,14 +122,14 @@ def test_no_request_breaks_the_server_or_gets_what_is_not_there(payload: bytes) 
 def test_mavproxys_help_reads_the_definition_file() -> None:
     """The loops are those of MAVProxy's ``param help``: it wants entries in the vehicle and in every library."""
     tree = objectify.fromstring(apm_pdef_xml().encode())
-    found = {entry.get("name").split(":")[1]: entry for entry in tree.vehicles.parameters.param}
+    definitions = {entry.get("name").split(":")[1]: entry for entry in tree.vehicles.parameters.param}
     for library in tree.libraries.parameters:
-        found |= {entry.get("name"): entry for entry in library.param}
-    assert found.keys() == {row.name for row in ROWS}
+        definitions |= {entry.get("name"): entry for entry in library.param}
+    assert definitions.keys() == {row.name for row in ROWS}
     for row in ROWS:
-        entry = found[row.name]
+        entry = definitions[row.name]
         fields = {field.get("name"): str(field) for field in entry.field}
-        low, high = (float(part) for part in fields["Range"].split())
+        low, high = (float(limit) for limit in fields["Range"].split())
         assert (low, high) == (row.minimum, row.maximum)
         assert fields.get("Units", "") == row.unit
         assert ("RebootRequired" in fields) is not row.live
@@ -163,14 +163,14 @@ def test_the_component_metadata_leads_from_the_message_to_the_ranges() -> None:
     assert entry["fileCrc"] == mavlink_crc32(content)
     table = {row["name"]: row for row in json.loads(content)["parameters"]}
     for row in ROWS:
-        told = table[row.name]
-        assert (told["min"], told["max"], told["default"], told["units"]) == (
+        parameter = table[row.name]
+        assert (parameter["min"], parameter["max"], parameter["default"], parameter["units"]) == (
             row.minimum,
             row.maximum,
             row.default,
             row.unit,
         )
-        assert told["rebootRequired"] is not row.live
+        assert parameter["rebootRequired"] is not row.live
     acknowledged = [m for m in station.heard if m.get_type() == "COMMAND_ACK"]
     assert [m.result for m in acknowledged] == [mavlink.MAV_RESULT_ACCEPTED]
 

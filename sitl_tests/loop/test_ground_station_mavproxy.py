@@ -41,12 +41,12 @@ class Radio(GroundStation):
         super().__init__()
         self.greets = False
         self._beats = 0
-        self._there = ("127.0.0.1", port)
+        self._mavproxy_address = ("127.0.0.1", port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def hear(self, message: Any, now_ns: int) -> None:
-        self._socket.sendto(bytes(message.get_msgbuf()), self._there)
+        self._socket.sendto(bytes(message.get_msgbuf()), self._mavproxy_address)
 
     def turn(self, now_ns: int) -> None:
         try:

@@ -22,7 +22,7 @@ ROWS = list(tunables())
 INT32 = mavlink.MAV_PARAM_TYPE_INT32
 
 
-def told(records: list, kind: type) -> list:
+def of_kind(records: list, kind: type) -> list:
     return [record for record in records if isinstance(record, kind)]
 
 
@@ -131,7 +131,7 @@ def test_unknown_ids_are_refused_by_name_and_index_and_only_when_meant_for_us() 
     assert len(station.errors) == 3
     assert {error.error for error in station.errors} == {mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST}
     assert station.arrived == before
-    assert [notice.text for notice in told(records, Notice)] == ["no parameter 'NO_SUCH_THING'"]
+    assert [notice.text for notice in of_kind(records, Notice)] == ["no parameter 'NO_SUCH_THING'"]
 
 
 @pytest.mark.parametrize("value", [500.1, -1.0, math.nan, math.inf, -math.inf, 3.0e38])
@@ -142,8 +142,8 @@ def test_a_value_out_of_range_is_answered_with_the_value_in_force_and_the_reason
     station.set("RNG_MAX", value)
     records = air.run(0.2)
     assert station.values["RNG_MAX"] == 200.0
-    assert not told(records, ParameterChange)
-    assert "RNG_MAX" in told(records, Notice)[0].text
+    assert not of_kind(records, ParameterChange)
+    assert "RNG_MAX" in of_kind(records, Notice)[0].text
     assert air.pilot.component.parameters.refused == 1
 
 
@@ -155,8 +155,8 @@ def test_a_fraction_for_a_whole_number_and_a_foreign_type_are_refused() -> None:
     station.set("RNG_MATCHES", 2.8e-44, INT32)  # the integer 20, byte-wise
     records = air.run(0.3)
     assert (station.values["TRG_POLICY"], station.values["RNG_MATCHES"]) == (0.0, 12.0)
-    assert not told(records, ParameterChange)
-    texts = " ".join(notice.text for notice in told(records, Notice))
+    assert not of_kind(records, ParameterChange)
+    texts = " ".join(notice.text for notice in of_kind(records, Notice))
     assert "whole number" in texts
     assert "REAL32" in texts
 
@@ -167,7 +167,7 @@ def test_a_live_change_acts_at_once_in_the_adapter_and_through_a_record_in_the_p
     air.run(1.0)
     station.set("RNG_TRUST", 0.05)
     records = air.run(0.1)
-    (change,) = told(records, ParameterChange)
+    (change,) = of_kind(records, ParameterChange)
     assert (change.name, change.value) == ("RNG_TRUST", 0.05)
     assert station.values["RNG_TRUST"] == np.float32(0.05)
     assert air.pilot.component.parameters.settings.trust_ratio == 0.05
@@ -177,8 +177,8 @@ def test_a_live_change_acts_at_once_in_the_adapter_and_through_a_record_in_the_p
     assert state.settings.trust_ratio == 0.05
     # the raw bytes alone do not make the change a second time when a recording is replayed
     decoder = Decoder(load_airframe("nadir-2m"), COMPANION)
-    replayed = [again for chunk in told(records, RawChunk) for again in decoder.decode_chunk(chunk)]
-    assert not told(replayed, ParameterChange)
+    replayed = [again for chunk in of_kind(records, RawChunk) for again in decoder.decode_chunk(chunk)]
+    assert not of_kind(replayed, ParameterChange)
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.live], ids=lambda row: row.name)
@@ -201,7 +201,7 @@ def test_a_repeated_set_is_answered_again_but_changes_once() -> None:
     for _ in range(4):
         station.set("OUT_RATE", 20.0)
         air.run(0.1)
-    assert len(told(air.records, ParameterChange)) == 1
+    assert len(of_kind(air.records, ParameterChange)) == 1
     answers = [m for m in station.heard if m.get_type() == "PARAM_VALUE" and m.param_id == "OUT_RATE"]
     assert [m.param_value for m in answers] == [20.0] * 4
 
@@ -213,8 +213,8 @@ def test_a_value_that_needs_a_restart_says_so_and_does_not_act() -> None:
     station.set("TRK_LAG", 0.75)
     records = air.run(0.2)
     assert station.values["TRK_LAG"] == 0.75, "the station sees that it was taken"
-    assert not told(records, ParameterChange)
-    assert [notice.text for notice in told(records, Notice)] == ["TRK_LAG 0.75: restart needed"]
+    assert not of_kind(records, ParameterChange)
+    assert [notice.text for notice in of_kind(records, Notice)] == ["TRK_LAG 0.75: restart needed"]
     assert air.pilot.component.parameters.settings.smoother_lag_s == Settings().smoother_lag_s
 
 
@@ -246,10 +246,10 @@ def _flood(air: Air, components: range) -> int:
     for station in air.stations:
         station.heard.clear()
     # what is compiled gives its arrays back behind the back of the tracer, which keeps them on its list
-    seen = tracemalloc.take_snapshot().filter_traces(
+    snapshot = tracemalloc.take_snapshot().filter_traces(
         [tracemalloc.Filter(False, "*bulk.py"), tracemalloc.Filter(False, tracemalloc.__file__)]
     )
-    return sum(trace.size for trace in seen.traces)
+    return sum(trace.size for trace in snapshot.traces)
 
 
 @pytest.mark.slow
@@ -284,7 +284,7 @@ def test_what_was_set_is_there_after_a_restart(tmp_path: Path) -> None:
     assert stored.values == {"TRG_RATE": 7.3, "TRK_LAG": 0.6}
     settings = Settings().with_values(stored.values)
     again = Station()
-    second = Air(again, settings=settings, store=Keeper(path), kept=stored.values)
+    second = Air(again, settings=settings, store=Keeper(path), stored_values=stored.values)
     again.ask_list()
     second.until(again.complete, 5.0)
     assert again.values["TRK_LAG"] == np.float32(0.6)
@@ -304,7 +304,7 @@ def test_a_store_that_cannot_be_written_is_told_and_the_value_still_acts(tmp_pat
     air.run(0.1)
     keeper.close()  # now its thread has tried
     air.run(0.1)
-    assert any("cannot keep parameters" in notice.text for notice in told(air.records, Notice))
+    assert any("cannot keep parameters" in notice.text for notice in of_kind(air.records, Notice))
     assert air.pilot.component.parameters.settings.publish_rate_hz == 5.0
 
 

@@ -72,17 +72,17 @@ def test_no_parameter_of_the_vehicle_stops_the_ranges_and_each_is_said_once() ->
 def test_a_good_value_is_taken_again_and_the_next_wild_one_said_again() -> None:
     state = start(load_airframe("nadir-2m"), Settings())
 
-    def told(value: float) -> list[Any]:
+    def outputs_for(value: float) -> list[Any]:
         return step(state, AutopilotParameter("INS_GYRO_FILTER", value, 1))[1]
 
-    assert [type(entry) for entry in told(0.001)] == [Rejected, Notice]
-    assert [type(entry) for entry in told(math.nan)] == [Rejected]
+    assert [type(entry) for entry in outputs_for(0.001)] == [Rejected, Notice]
+    assert [type(entry) for entry in outputs_for(math.nan)] == [Rejected]
     assert state.airframe.root.lowpass_gyro_hz == load_airframe("nadir-2m").root.lowpass_gyro_hz
-    told(40.0)
+    outputs_for(40.0)
     assert state.airframe.root.lowpass_gyro_hz == 40.0
-    assert [type(entry) for entry in told(0.001)] == [Rejected, Notice]
+    assert [type(entry) for entry in outputs_for(0.001)] == [Rejected, Notice]
     assert state.airframe.root.lowpass_gyro_hz == 40.0, "what it told last that can be"
-    told(0.0)
+    outputs_for(0.0)
     assert state.airframe.root.lowpass_gyro_hz == 0.0, "0 switches the filter off"
 
 
@@ -106,10 +106,10 @@ def test_each_row_says_its_range_and_refuses_what_is_no_number(name: str) -> Non
 @pytest.mark.parametrize(("name", "value"), WILD)
 def test_the_doctor_goes_by_no_value_that_cannot_be(name: str, value: float) -> None:
     px4 = {"IMU_ACCEL_CUTOFF": 30.0, "IMU_GYRO_CUTOFF": 30.0} if name.startswith("IMU_") else {}
-    seen = Evidence(load_airframe("nadir-2m"), Settings(), live=True, parameters={**px4, name: value})
-    (finding,) = check_parameters(seen)
+    evidence = Evidence(load_airframe("nadir-2m"), Settings(), live=True, parameters={**px4, name: value})
+    (finding,) = check_parameters(evidence)
     assert finding.level is FindingLevel.FIX
     assert name in finding.text
-    assert seen.parameter(name) is None
-    for entry in diagnose(seen):
+    assert evidence.parameter(name) is None
+    for entry in diagnose(evidence):
         assert "nan" not in entry.text.replace(finding.text, "")

@@ -68,8 +68,8 @@ def records_at(step: int) -> list[Record | Frame]:
     pixels = np.random.default_rng(step).uniform((0, 0), (64, 48), (40, 2))
     middle_ns = np.array([t_ns, t_ns + 200_000])
     image = np.random.default_rng(1).integers(0, 255, (48, 64)).astype(np.uint8)
-    known = np.zeros(72, bool)
-    known[2:9] = True
+    viewed = np.zeros(72, bool)
+    viewed[2:9] = True
     frames = [Frame(side, step, ClockName.HOST, int(middle_ns[side]), MS, 0, step, image) for side in Side]
     return [
         ModeState(t_ns, symmetric, antisymmetric, Validity.TRACKING, q_m, np.full(2, 1e-4), tuple(Station),
@@ -80,7 +80,7 @@ def records_at(step: int) -> list[Record | Frame]:
         *frames,
         MatchSet(step, step, (ClockName.HOST,) * 2, middle_ns, MS, 0, pixels, pixels - 3.0, np.full(40, 0.1), t_ns),
         CorrectedRange(step, step, t_ns, 25, 60.25, 0.31, 0.0405, 0.0002, 27.1, 170, True, None),
-        ObstacleSectors(t_ns, np.full(72, 33.5), np.full(72, 0.5), known, ~known & (np.arange(72) < 12), 1.0, 100.0),
+        ObstacleSectors(t_ns, np.full(72, 33.5), np.full(72, 0.5), viewed, ~viewed & (np.arange(72) < 12), 1.0, 100.0),
         ClockState(ClockName.BOOT, t_ns, 5, 12.5, 400_000, step > 3),
         ServiceStatus(t_ns, Health.ACTIVE, "tracking", {"samples left": 100 * step, str(Reject.CRC): 7}),
     ]  # fmt: skip

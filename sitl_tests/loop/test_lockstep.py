@@ -173,18 +173,18 @@ def test_a_shot_is_the_same_whichever_process_makes_it_and_when(flight: Flight) 
     with Studios(stage) as studios:
         made = studios.all(pulls)
     studio = Studio(stage)
-    for pull, seen in zip(reversed(pulls), reversed(made), strict=True):
-        ((one,), (other,)) = seen, studio.shoot(pull)
-        assert isinstance(one, MatchSet)
-        assert isinstance(other, MatchSet)
-        assert one.pair_id == other.pair_id == pull.shot
-        assert one.matched_host_ns == pull.matched_host_ns
-        assert one.left_px.tobytes() == other.left_px.tobytes()
-        assert one.right_px.tobytes() == other.right_px.tobytes()
+    for pull, records in zip(reversed(pulls), reversed(made), strict=True):
+        ((pooled,), (local,)) = records, studio.shoot(pull)
+        assert isinstance(pooled, MatchSet)
+        assert isinstance(local, MatchSet)
+        assert pooled.pair_id == local.pair_id == pull.shot
+        assert pooled.matched_host_ns == pull.matched_host_ns
+        assert pooled.left_px.tobytes() == local.left_px.tobytes()
+        assert pooled.right_px.tobytes() == local.right_px.tobytes()
         if pull.shot:
-            assert one.flow is not None
-            assert other.flow is not None
-            assert one.flow.earlier_px.tobytes() == other.flow.earlier_px.tobytes()
+            assert pooled.flow is not None
+            assert local.flow is not None
+            assert pooled.flow.earlier_px.tobytes() == local.flow.earlier_px.tobytes()
     assert studio.shoot(Pull(9, EPOCH_NS + 60_000 * MS, EPOCH_NS + 60_100 * MS)) == [], "after the end there is no view"
 
 

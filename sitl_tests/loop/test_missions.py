@@ -293,10 +293,10 @@ def test_the_recording_of_a_sweep_identifies_the_wing(tmp_path: Path) -> None:
     stage = Stage(tmp_path, seconds=70.0, speed=3.0, parameters={"SCHED_LOOP_RATE": 400.0})
     options = ("--heights", "60", "75", "--length=450", "--bearing=0", "--no-ranges")
     assert stage.fly(climb_sweep.main, *options) == Exit.DONE
-    found = tmp_path / "found"
+    identified = tmp_path / "found"
     recording = str(tmp_path / "flight.tlog")
-    assert spanwise(["identify", "flight", recording, f"--airframe={stage.airframe_path}", f"--out={found}"]) == 0
-    wing, truth = load_airframe(str(found / "airframe.toml")).wing, stage.flight.real.actual.wing
+    assert spanwise(["identify", "flight", recording, f"--airframe={stage.airframe_path}", f"--out={identified}"]) == 0
+    wing, truth = load_airframe(str(identified / "airframe.toml")).wing, stage.flight.real.actual.wing
     for mode, true in ((wing.symmetric, truth.symmetric), (wing.antisymmetric, truth.antisymmetric)):
         assert mode.frequency_hz.value == pytest.approx(true.frequency_hz.value, rel=0.005)
 

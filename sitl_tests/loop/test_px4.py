@@ -57,8 +57,8 @@ def test_the_boot_clock_is_known_within_its_bound(service: SimulatedService) -> 
 
 @pytest.mark.slow
 def test_whole_numbers_are_read_and_the_mean_is_stamped_in_its_middle(service: SimulatedService) -> None:
-    told = {p.name: p.value for p in service.tape.of(AutopilotParameter)}
-    assert told["IMU_INTEG_RATE"] == 200.0
+    parameters = {p.name: p.value for p in service.tape.of(AutopilotParameter)}
+    assert parameters["IMU_INTEG_RATE"] == 200.0
     assert service.loop.state.filters.stamp_shift_ns == -2_500_000
 
 

@@ -33,7 +33,7 @@ def test_a_wing_that_is_wired_right_passes_by_its_figures(capsys: pytest.Capture
     assert lines(said, "mend") == []
     taps = re.findall(r"tap +(left|right) ([\d.]+) m/s\^2, (?:left|right) ([\d.]+)", said)
     assert [side for side, _, _ in taps] == ["left", "right"]
-    assert all(float(own) > 5.0 * float(other) for _, own, other in taps), "the hand struck one tip alone"
+    assert all(float(struck) > 5.0 * float(other) for _, struck, other in taps), "the hand struck one tip alone"
     angles = re.findall(r"([+-][\d.]+) deg by gravity, ([+-][\d.]+) deg by its gyro", said)
     assert len(angles) == 6, "three stations, two tilts"
     assert all(abs(float(value) - 25.0) < 1.0 for pair in angles for value in pair), "25 degrees were tilted"

@@ -286,8 +286,8 @@ def test_the_rangefinder_is_repeated_to_everyone_while_it_is_alive(flight: Fligh
     for metres in (30, 31, 32):
         peer.send(distance(100 * metres, 90))
         peer.run(0.3)
-    told = [message.distance for _, message in peer.of("RANGEFINDER", 1)]
-    assert set(told) == {30.0, 31.0, 32.0}
+    distances_m = [message.distance for _, message in peer.of("RANGEFINDER", 1)]
+    assert set(distances_m) == {30.0, 31.0, 32.0}
     echoed = [m for _, m in peer.of("DISTANCE_SENSOR", 1)]
     assert {m.current_distance for m in echoed} == {3000, 3100, 3200}
     assert {m.orientation for m in echoed} == {25}

@@ -32,11 +32,11 @@ def test_forty_samples_a_second_are_told_with_the_remedy_and_tracked_with() -> N
     errors, spread = [], []
     for back_ms in range(500, 900, 10):
         t_ns = tracker._next_ns - back_ms * MS
-        found = tracker.smooth(t_ns)
-        assert not isinstance(found, Reject)
-        assert isinstance(found, Deflection)
+        deflection = tracker.smooth(t_ns)
+        assert not isinstance(deflection, Reject)
+        assert isinstance(deflection, Deflection)
         truth = flight.truth.at(t_ns - EPOCH_NS)
-        errors.append(found.slope_rad - truth.slope_rad)
+        errors.append(deflection.slope_rad - truth.slope_rad)
         spread.append(truth.slope_rad)
     moving = np.std(np.array(errors), axis=0) / np.std(np.array(spread), axis=0)
     print(f"error of the moving slope over its own: left {moving[0]:.3f}, right {moving[1]:.3f}")

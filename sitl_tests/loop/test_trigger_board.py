@@ -45,7 +45,7 @@ def bench(firmware: Path, tmp_path: Path) -> Iterator[Board]:
 def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
     """Planned against true edge, by the firmware's own look at the host's clock; a table for who reads with -s."""
     trigger = SerialBoardTrigger(bench.port)
-    planned, told, refused, unheard = [], [], 0, 0
+    planned, fired_ns, refused, unheard = [], [], 0, 0
     for k in range(100):
         plan = _plan(k, time.monotonic_ns() + 2_000_000)
         while time.monotonic_ns() < plan.command_host_ns:
@@ -58,7 +58,7 @@ def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
             continue
         assert shot.plan_id == k
         planned.append(plan.command_host_ns + LEAD_NS)
-        told.append(shot.fired_host_ns)
+        fired_ns.append(shot.fired_host_ns)
         time.sleep(0.01)
     trigger.close()
     edges = bench.edges_ns()
@@ -67,7 +67,7 @@ def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
     true = edges[np.abs(edges[:, None] - np.array(planned)).argmin(axis=0)]
     assert len(np.unique(true)) == len(planned)
     late_us = 1e-3 * (true - np.array(planned))
-    report_us = 1e-3 * np.abs(true - np.array(told))
+    report_us = 1e-3 * np.abs(true - np.array(fired_ns))
     for name, values in (("edge after plan", late_us), ("report against edge", report_us)):
         median, p99 = np.percentile(values, [50, 99])
         print(f"{name:20s} median {median:7.1f}  p99 {p99:7.1f}  max {values.max():7.1f} us")
@@ -137,11 +137,11 @@ def test_the_board_clock_believes_short_ways_and_forgets_old_ones() -> None:
     clock, offset_ns = BoardClock(), 5_000_000_000
     clock.add(1_000_000, (1_400_000 + offset_ns) // 1000, (1_400_000 + offset_ns) // 1000, 1_500_000)
     clock.add(2_000_000, (2_010_000 + offset_ns) // 1000, (2_010_000 + offset_ns) // 1000, 2_020_000)
-    found, bound = clock.offset(2_020_000)
-    assert abs(found - offset_ns) <= bound
+    estimated_ns, bound = clock.offset(2_020_000)
+    assert abs(estimated_ns - offset_ns) <= bound
     assert bound < 11_000
     later, grown = clock.offset(2_020_000 + 10_000_000_000)
-    assert later == found
+    assert later == estimated_ns
     assert grown == pytest.approx(bound + 300_000, rel=0.01)  # 30 ppm of 10 s
 
 

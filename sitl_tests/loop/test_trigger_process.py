@@ -47,12 +47,12 @@ def plan(plan_id: int, ahead_ns: int, firing: Firing = Firing.PEAK, life_ns: int
 
 
 def reports(process: TriggerProcess, seconds: float, enough: int | None = None) -> list[Shot | Rejected]:
-    found: list[Shot | Rejected] = []
+    received: list[Shot | Rejected] = []
     end = time.monotonic() + seconds
-    while time.monotonic() < end and (enough is None or len(found) < enough):
-        found += process.poll()
+    while time.monotonic() < end and (enough is None or len(received) < enough):
+        received += process.poll()
         time.sleep(0.002)
-    return found
+    return received
 
 
 @pytest.fixture(scope="module")
@@ -72,11 +72,11 @@ def test_a_plan_is_fired_once_and_never_early(process: TriggerProcess) -> None:
     sent = plan(100, 15 * MS)
     process.send(sent)
     process.send(sent)
-    found = reports(process, 0.3)
+    received = reports(process, 0.3)
     process.send(sent)  # long fired
-    found += reports(process, 0.2)
-    assert [shot.plan_id for shot in found if isinstance(shot, Shot)] == [100]
-    (shot,) = found
+    received += reports(process, 0.2)
+    assert [shot.plan_id for shot in received if isinstance(shot, Shot)] == [100]
+    (shot,) = received
     assert isinstance(shot, Shot)
     assert shot.planned_host_ns == sent.command_host_ns
     assert shot.fired_host_ns >= shot.planned_host_ns
@@ -89,8 +89,8 @@ def test_the_newest_plan_wins_whatever_its_time(process: TriggerProcess) -> None
     process.send(plan(201, 200 * MS))
     later = plan(201, 80 * MS)
     process.send(later)
-    found = reports(process, 0.4)
-    assert [(shot.plan_id, shot.planned_host_ns) for shot in found if isinstance(shot, Shot)] == [
+    received = reports(process, 0.4)
+    assert [(shot.plan_id, shot.planned_host_ns) for shot in received if isinstance(shot, Shot)] == [
         (201, later.command_host_ns)
     ]
 
@@ -99,12 +99,12 @@ def test_a_plan_that_came_too_late_to_replace_the_last_shots_is_not_fired(proces
     """Planned before that shot was fired, in its stead; nor is what refines it."""
     first, instead = plan(250, 15 * MS), plan(251, 120 * MS)
     process.send(first)
-    found = reports(process, 0.05)
+    received = reports(process, 0.05)
     process.send(instead)
     process.send(plan(251, 60 * MS))
     process.send(plan(252, 90 * MS))
-    found += reports(process, 0.25)
-    assert [shot.plan_id for shot in found if isinstance(shot, Shot)] == [250, 252]
+    received += reports(process, 0.25)
+    assert [shot.plan_id for shot in received if isinstance(shot, Shot)] == [250, 252]
 
 
 def test_a_skip_withdraws_what_waits(process: TriggerProcess) -> None:
@@ -115,10 +115,10 @@ def test_a_skip_withdraws_what_waits(process: TriggerProcess) -> None:
 
 def test_an_expired_plan_is_reported_and_not_fired(process: TriggerProcess) -> None:
     process.send(plan(400, -50 * MS, life_ns=10 * MS))
-    (found,) = reports(process, 30.0, enough=1)
-    assert isinstance(found, Rejected)
-    assert found.reason is Reject.PLAN_EXPIRED
-    assert "400" in found.what
+    (rejected,) = reports(process, 30.0, enough=1)
+    assert isinstance(rejected, Rejected)
+    assert rejected.reason is Reject.PLAN_EXPIRED
+    assert "400" in rejected.what
 
 
 def test_a_late_but_living_plan_is_fired_at_once(process: TriggerProcess) -> None:
@@ -135,9 +135,9 @@ def test_garbage_does_not_stop_it(process: TriggerProcess) -> None:
     for size in (1, 2, 17, 70, 300, 511, 4000):
         raw.send(rng.bytes(size))
     raw.close()
-    found = reports(process, 0.4)
-    assert [report.reason for report in found if isinstance(report, Rejected)] == [Reject.CRC] * 7
-    assert [report.plan_id for report in found if isinstance(report, Shot)] == [500]
+    received = reports(process, 0.4)
+    assert [report.reason for report in received if isinstance(report, Rejected)] == [Reject.CRC] * 7
+    assert [report.plan_id for report in received if isinstance(report, Shot)] == [500]
 
 
 def test_most_shots_are_within_a_fifth_of_a_millisecond_of_the_plan(process: TriggerProcess) -> None:
@@ -154,14 +154,14 @@ def test_most_shots_are_within_a_fifth_of_a_millisecond_of_the_plan(process: Tri
 def test_a_line_that_fails_is_reported_and_the_next_plan_is_served() -> None:
     with TriggerProcess(OddsFail) as process:
         process.wait_ready()
-        found = []
+        received = []
         for i in range(4):
             process.send(plan(i, 5 * MS))
-            found += reports(process, 30.0, enough=1)
-    assert [type(report) for report in found] == [Shot, Rejected, Shot, Rejected]
-    assert isinstance(found[1], Rejected)
-    assert found[1].reason is Reject.DEVICE_FAILED
-    assert "line stuck" in found[1].what
+            received += reports(process, 30.0, enough=1)
+    assert [type(report) for report in received] == [Shot, Rejected, Shot, Rejected]
+    assert isinstance(received[1], Rejected)
+    assert received[1].reason is Reject.DEVICE_FAILED
+    assert "line stuck" in received[1].what
 
 
 def test_a_line_that_cannot_be_opened_is_an_error() -> None:

@@ -193,9 +193,9 @@ def test_another_component_with_our_id_and_a_rival_rangefinder_are_named(flight:
         sideways = mavlink.MAVLink_distance_sensor_message(count, 20, 4000, 1000, 0, 1, 2, 1).pack(rival)
         return bytes(strange + ranging + sideways)
 
-    found = wrong(Ward(flight).listen(extra))
-    assert len(found) == 2
-    text = " ".join(found)
+    problems = wrong(Ward(flight).listen(extra))
+    assert len(problems) == 2
+    text = " ".join(problems)
     assert "another component speaks as 1/191" in text
     assert "1/192 also sends DISTANCE_SENSOR of orientation 25" in text
 
@@ -209,7 +209,7 @@ def test_our_own_ranges_repeated_by_the_autopilot_are_no_rival(flight: Flight) -
 # ------------------------------------------------------------------------------------------ without a flight
 
 
-def seen(**changes: Any) -> Evidence:
+def evidence_of(**changes: Any) -> Evidence:
     base = Evidence(AIRFRAME, Settings(), live=True, seconds=10.0, system=1)
     return dataclasses.replace(base, **changes)
 
@@ -220,7 +220,7 @@ def texts(evidence: Evidence, check: Any) -> str:
 
 @pytest.mark.parametrize(("name", "value", "fix"), [("RNGFND1_MAX_CM", 700.0, "set RNGFND1_MAX_CM 20000")])
 def test_limits_of_older_versions_are_in_centimetres(name: str, value: float, fix: str) -> None:
-    evidence = seen(parameters={"RNGFND1_TYPE": 10.0, name: value})
+    evidence = evidence_of(parameters={"RNGFND1_TYPE": 10.0, name: value})
     assert fix in texts(evidence, doctor.check_ranging)
     evidence.parameters[name] = 30000.0
     assert "FIX" not in texts(evidence, doctor.check_ranging)
@@ -231,7 +231,7 @@ def test_limits_of_older_versions_are_in_centimetres(name: str, value: float, fi
 )
 def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_mrad: float) -> None:
     both = {Station.LEFT: axes, Station.RIGHT: Axis.ALL}
-    said = texts(seen(axes=both, rate_hz={Station.LEFT: 1000.0, Station.RIGHT: 1000.0}), doctor.check_nodes)
+    said = texts(evidence_of(axes=both, rate_hz={Station.LEFT: 1000.0, Station.RIGHT: 1000.0}), doctor.check_nodes)
     assert f"about {expected_mrad:.2f} mrad" in said
     assert ("axes" in said and "never come" in said) is (axes is not Axis.ALL)
 
@@ -239,7 +239,9 @@ def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_
 def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None:
     rates = {Station.LEFT: 400.0, Station.RIGHT: 1000.0}
     full = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL)
-    said = texts(seen(axes=full, rate_hz=rates, serial_baud={"/dev/ttyAMA0,460800": 460_800}), doctor.check_nodes)
+    said = texts(
+        evidence_of(axes=full, rate_hz=rates, serial_baud={"/dev/ttyAMA0,460800": 460_800}), doctor.check_nodes
+    )
     assert "460800 baud" in said
     assert "750000" in said
 
@@ -247,14 +249,14 @@ def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None
 def test_a_serial_line_is_held_against_a_nodes_stream_before_it_is_slow() -> None:
     full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
     for baud, level in ((921_600, "ok"), (57_600, "FIX")):
-        said = texts(seen(axes=full, rate_hz=rates, serial_baud={"/dev/ttyS1": baud}), doctor.check_nodes)
+        said = texts(evidence_of(axes=full, rate_hz=rates, serial_baud={"/dev/ttyS1": baud}), doctor.check_nodes)
         assert f"{level} /dev/ttyS1: a node's stream needs 750000 baud of {baud}" in said
 
 
 def test_what_a_node_says_that_it_lost_is_told_with_the_cause() -> None:
     full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
     losses = {(200, "loop_lost"): 12, (201, "line_lost"): 7, (201, "line_bad"): 0, (158, "other"): 5}
-    said = texts(seen(axes=full, rate_hz=rates, node_losses=losses), doctor.check_nodes)
+    said = texts(evidence_of(axes=full, rate_hz=rates, node_losses=losses), doctor.check_nodes)
     assert "FIX node 200: 12 readings lost because its loop came too late" in said
     assert "FIX node 201: 7 readings lost because its line is too slow" in said
     assert "damaged" not in said
@@ -263,7 +265,9 @@ def test_what_a_node_says_that_it_lost_is_told_with_the_cause() -> None:
 
 def test_zero_one_and_two_nodes_each_have_a_stated_behaviour() -> None:
     said = [
-        texts(seen(axes=dict.fromkeys(alive, Axis.ALL), rate_hz=dict.fromkeys(alive, 1000.0)), doctor.check_nodes)
+        texts(
+            evidence_of(axes=dict.fromkeys(alive, Axis.ALL), rate_hz=dict.fromkeys(alive, 1000.0)), doctor.check_nodes
+        )
         for alive in ([], [Station.LEFT], [Station.LEFT, Station.RIGHT])
     ]
     assert "only 'alive, no range' goes out" in said[0]
@@ -272,25 +276,25 @@ def test_zero_one_and_two_nodes_each_have_a_stated_behaviour() -> None:
 
 
 def test_a_deaf_node_will_be_aligned_by_what_it_measures_and_one_that_measures_nothing_of_use_cannot_be_used() -> None:
-    said = texts(seen(axes={Station.LEFT: Axis.ALL}), doctor.check_clocks)
+    said = texts(evidence_of(axes={Station.LEFT: Axis.ALL}), doctor.check_clocks)
     assert "note node_left: TIMESYNC is not answered; it will be aligned by its gyro" in said
-    said = texts(seen(axes={Station.LEFT: Axis.ACCEL, Station.RIGHT: Axis.X | Axis.Y}), doctor.check_clocks)
+    said = texts(evidence_of(axes={Station.LEFT: Axis.ACCEL, Station.RIGHT: Axis.X | Axis.Y}), doctor.check_clocks)
     assert "note node_left: TIMESYNC is not answered; it will be aligned by its vertical accelerometer" in said
     assert "FIX node_right: TIMESYNC is not answered; its samples cannot be used" in said
 
 
 def test_a_computer_that_grants_no_priority_is_told_what_to_set() -> None:
-    assert "LimitRTPRIO" in texts(seen(realtime=False), doctor.check_computer)
-    assert "ok" in texts(seen(realtime=True), doctor.check_computer)
-    assert texts(seen(), doctor.check_computer) == ""
+    assert "LimitRTPRIO" in texts(evidence_of(realtime=False), doctor.check_computer)
+    assert "ok" in texts(evidence_of(realtime=True), doctor.check_computer)
+    assert texts(evidence_of(), doctor.check_computer) == ""
 
 
 def test_copters_need_proximity_and_planes_have_none() -> None:
     forward = load_airframe("forward-2m")
     good = {"RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 0.0, "PRX1_TYPE": 0.0}
-    copter = seen(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_QUADROTOR, 3, 10)})
+    copter = evidence_of(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_QUADROTOR, 3, 10)})
     assert "set PRX1_TYPE 2, reboot" in texts(copter, doctor.check_ranging)
-    plane = seen(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, 3, 10)})
+    plane = evidence_of(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, 3, 10)})
     said = texts(plane, doctor.check_ranging)
     assert "PRX1_TYPE" not in said
     assert "no proximity library" in said
@@ -302,14 +306,14 @@ def pictures(left: int, right: int = 0) -> dict[int, set[int]]:
 
 
 def test_cameras_that_do_not_pair() -> None:
-    assert "one camera only" in texts(seen(feedback=pictures(10)), doctor.check_cameras)
-    assert "does not pair" in texts(seen(feedback=pictures(10, 7)), doctor.check_cameras)
-    assert "ok" in texts(seen(feedback=pictures(10, 10)), doctor.check_cameras)
+    assert "one camera only" in texts(evidence_of(feedback=pictures(10)), doctor.check_cameras)
+    assert "does not pair" in texts(evidence_of(feedback=pictures(10, 7)), doctor.check_cameras)
+    assert "ok" in texts(evidence_of(feedback=pictures(10, 10)), doctor.check_cameras)
 
 
 def test_feedback_that_comes_twice_is_one_picture() -> None:
     """With two cameras ArduPilot repeats the first one's last feedback."""
-    evidence = seen()
+    evidence = evidence_of()
     for camera, image in ((0, 1), (0, 1), (1, 1), (0, 2), (0, 2), (1, 2)):
         message = mavlink.MAVLink_camera_feedback_message(0, 0, camera, image, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         note(evidence, Heard(0, 1, 1, message, 0), 1)
@@ -317,7 +321,7 @@ def test_feedback_that_comes_twice_is_one_picture() -> None:
 
 
 def test_a_camera_that_is_busy_longer_than_the_shots_are_apart() -> None:
-    busy = seen(feedback=pictures(9, 9), parameters={"CAM1_DURATION": 0.1, "CAM2_DURATION": 0.02})
+    busy = evidence_of(feedback=pictures(9, 9), parameters={"CAM1_DURATION": 0.1, "CAM2_DURATION": 0.02})
     said = texts(busy, doctor.check_cameras)
     assert busy.settings.trigger_rate_hz == 10.0
     assert "set CAM1_DURATION 0.05" in said
@@ -337,7 +341,7 @@ def test_a_camera_that_is_busy_longer_than_the_shots_are_apart() -> None:
 def test_a_recording_tells_what_became_of_its_shots(
     shots: int, pairs: int, unpaired: int, lost: int, expected: str
 ) -> None:
-    evidence = seen(live=False, shots=shots, pairs=pairs, unpaired=unpaired, lost=lost)
+    evidence = evidence_of(live=False, shots=shots, pairs=pairs, unpaired=unpaired, lost=lost)
     said = texts(evidence, doctor.check_cameras)
     assert expected in said
     assert bool(said) is bool(expected)

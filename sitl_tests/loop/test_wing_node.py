@@ -47,8 +47,8 @@ def start(program: Path) -> Iterator[Callable[..., Node]]:
 
 def samples(node: Node) -> tuple[np.ndarray, np.ndarray]:
     """Stamps in s and vertical acceleration, in order of arrival."""
-    found = [message for message, _ in node.heard if message.get_type() == "HIGHRES_IMU"]
-    return np.array([m.time_usec for m in found]) * 1e-6, np.array([m.zacc for m in found])
+    messages = [message for message, _ in node.heard if message.get_type() == "HIGHRES_IMU"]
+    return np.array([m.time_usec for m in messages]) * 1e-6, np.array([m.zacc for m in messages])
 
 
 def undisturbed(start: Callable[..., Node], **options: float) -> Node:
@@ -59,10 +59,10 @@ def undisturbed(start: Callable[..., Node], **options: float) -> Node:
     for _ in range(20):
         node = start(**options)
         node.listen(1.5)
-        told = [k for k, (message, _) in enumerate(node.heard) if message.get_type() == "NAMED_VALUE_INT"]
+        counter_indices = [k for k, (message, _) in enumerate(node.heard) if message.get_type() == "NAMED_VALUE_INT"]
         lost = {name: value for name, value in node.counters().items() if name != "line_bad"}
         if lost == {"loop_lost": 0, "line_lost": 0}:
-            del node.heard[told[-1] :]
+            del node.heard[counter_indices[-1] :]
             return node
     pytest.fail(f"twenty nodes in a row lost readings, the last {lost}")
 
@@ -106,9 +106,9 @@ def test_time_is_answered_once_inside_the_round_trip_and_mirrored(start: Callabl
     node = start(skew_ppm=200)
     rounds = []
     for _ in range(40):
-        found = node.ask_time()
-        assert len(found) == 1
-        message, asked_ns, heard_ns = found[0]
+        answers = node.ask_time()
+        assert len(answers) == 1
+        message, asked_ns, heard_ns = answers[0]
         assert tuple(message.get_msgbuf()[26:28]) == HOST, "addressed to who asked"
         # the answer was stamped between asking and hearing; its clock counts microseconds
         assert node.node_ns(asked_ns) - 1000 <= message.tc1 <= node.node_ns(heard_ns)
@@ -146,24 +146,24 @@ def test_questions_are_found_in_garbage_in_both_versions_and_damaged_ones_counte
 
 def lost_before_news(node: Node, name: str) -> list[tuple[int, int]]:
     """Each time that a counter was told: its value, and the readings that the stamps until then lack."""
-    found, last = [], None
+    losses, last = [], None
     count = 0
     for message, _ in node.heard:
         if message.get_type() == "HIGHRES_IMU":
             last, count = message.time_usec, count + 1
         elif message.get_type() == "NAMED_VALUE_INT" and message.name == name and last is not None:
-            found.append((message.value, round(last * 1e-6 * node.rate_hz + 0.5) - count))
-    return found
+            losses.append((message.value, round(last * 1e-6 * node.rate_hz + 0.5) - count))
+    return losses
 
 
 def until_quiet(node: Node) -> None:
     """Listen until between two tellings nothing more was lost: the samples of all losses have come."""
     for _ in range(15):
         node.listen(2.2)
-        told = [lost_before_news(node, name)[-2:] for name in ("loop_lost", "line_lost")]
-        if all(len({value for value, _ in pair}) == 1 for pair in told):
+        newest_losses = [lost_before_news(node, name)[-2:] for name in ("loop_lost", "line_lost")]
+        if all(len({value for value, _ in pair}) == 1 for pair in newest_losses):
             return
-    pytest.fail(f"readings are lost on and on: {told}")
+    pytest.fail(f"readings are lost on and on: {newest_losses}")
 
 
 def test_a_loop_that_comes_late_loses_readings_and_counts_every_one(start: Callable[..., Node]) -> None:
@@ -172,13 +172,13 @@ def test_a_loop_that_comes_late_loses_readings_and_counts_every_one(start: Calla
         node.listen(4.5)
         if node.counters()["line_lost"] == 0:  # this reader was not held up
             break
-    told = lost_before_news(node, "loop_lost")
-    assert told[-1][0] >= 3 * (150 - 64 - 30)
+    losses = lost_before_news(node, "loop_lost")
+    assert losses[-1][0] >= 3 * (150 - 64 - 30)
     # the news may leave before the samples that show the newest loss
-    assert all(before <= missing <= value for (before, _), (value, missing) in itertools.pairwise(told))
+    assert all(before <= missing <= value for (before, _), (value, missing) in itertools.pairwise(losses))
     readings = np.rint(samples(node)[0] * node.rate_hz + 0.5)  # of the first to the one of each stamp
     lost_so_far = np.cumsum(np.diff(readings, prepend=0.0) - 1.0)
-    assert {value for value, _ in told[:-1]} <= set(lost_so_far), "whole losses, no reading more or less"
+    assert {value for value, _ in losses[:-1]} <= set(lost_so_far), "whole losses, no reading more or less"
     assert node.counters()["line_lost"] == 0
     assert (np.diff(samples(node)[0]) > 0).all()
 

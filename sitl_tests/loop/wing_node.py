@@ -104,8 +104,8 @@ class Node:
 
     def counters(self) -> dict[str, int]:
         """The newest NAMED_VALUE_INTs."""
-        found = [message for message, _ in self.heard if message.get_type() == "NAMED_VALUE_INT"]
-        return {message.name: message.value for message in found}
+        messages = [message for message, _ in self.heard if message.get_type() == "NAMED_VALUE_INT"]
+        return {message.name: message.value for message in messages}
 
     def kinds(self) -> Counter[str]:
         """How many of each message were heard."""

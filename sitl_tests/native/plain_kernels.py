@@ -70,11 +70,17 @@ def _streaks(*arguments: Any) -> blur.Streaks:
     return blur.Streaks(*plain_trigger.streak_px(*arguments))
 
 
-def _still_instants(seen: blur.BlurForecast, from_host_ns: int = 0) -> list[PlannedInstant]:
-    shape = (seen.motion, seen.motion_per_rate, seen.acceleration_radps2, seen.rate_covariance, seen.q_covariance)
-    found = plain_trigger.minima(seen.t_host_ns, from_host_ns, *shape, seen.spring, seen.rms_px)
-    first_ns = int(seen.t_host_ns[0])
-    return [PlannedInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
+def _still_instants(forecast: blur.BlurForecast, from_host_ns: int = 0) -> list[PlannedInstant]:
+    shape = (
+        forecast.motion,
+        forecast.motion_per_rate,
+        forecast.acceleration_radps2,
+        forecast.rate_covariance,
+        forecast.q_covariance,
+    )
+    minima = plain_trigger.minima(forecast.t_host_ns, from_host_ns, *shape, forecast.spring, forecast.rms_px)
+    first_ns = int(forecast.t_host_ns[0])
+    return [PlannedInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in minima.tolist()]
 
 
 def _to_host(self: clock_map.ClockMap, t_ns: Ints) -> tuple[Ints, int, int, int]:

@@ -42,9 +42,9 @@ def frame(rng: np.random.Generator) -> bytes:
 
 
 def datagram(rng: np.random.Generator) -> bytes:
-    whole = b"".join(frame(rng) for _ in range(rng.integers(0, 4)))
+    frames = b"".join(frame(rng) for _ in range(rng.integers(0, 4)))
     damage = rng.random()
-    return whole[:-1] if damage < 0.1 else whole + rng.bytes(3) if damage < 0.2 else whole
+    return frames[:-1] if damage < 0.1 else frames + rng.bytes(3) if damage < 0.2 else frames
 
 
 def form_of(data: bytes, system: int | None) -> int:

@@ -98,8 +98,8 @@ def _by_numpy_with_the_fits_of_c() -> tuple[list[Record], list[float]]:
         by_numpy = spectral_fit.fit
 
         def held(*arguments: Any) -> WhittleFit:
-            mine, expected = by_numpy(*arguments), next(by_c)
-            off_sigmas.append(float(np.abs((mine.log_params - expected.log_params) / expected.log_sigma).max()))
+            numpy_fit, expected = by_numpy(*arguments), next(by_c)
+            off_sigmas.append(float(np.abs((numpy_fit.log_params - expected.log_params) / expected.log_sigma).max()))
             return expected
 
         patch.setattr(spectral_fit, "fit", held)
@@ -108,16 +108,16 @@ def _by_numpy_with_the_fits_of_c() -> tuple[list[Record], list[float]]:
 
 def _compared(outputs: list[Record]) -> ReplayComparison:
     comparison = ReplayComparison(ROUNDING)
-    mine = _by_c()[0]
-    for at in range(max(len(mine), len(outputs))):
-        comparison.compare(*(each[at] if at < len(each) else None for each in (mine, outputs)))
+    c_outputs = _by_c()[0]
+    for at in range(max(len(c_outputs), len(outputs))):
+        comparison.compare(*(each[at] if at < len(each) else None for each in (c_outputs, outputs)))
     return comparison
 
 
 def _ranges(outputs: tuple[Record, ...] | list[Record]) -> Floats:
     """Toe, range and their sigmas of every shot, (n, 4)."""
-    told = [record for record in outputs if isinstance(record, CorrectedRange)]
-    return np.array([(each.toe_rad, each.toe_sigma_rad, each.range_m, each.sigma_m) for each in told])
+    ranges = [record for record in outputs if isinstance(record, CorrectedRange)]
+    return np.array([(each.toe_rad, each.toe_sigma_rad, each.range_m, each.sigma_m) for each in ranges])
 
 
 @pytest.mark.long

@@ -42,9 +42,9 @@ def _samples(rng: np.random.Generator, rate_hz: float, filtered: bool, seconds: 
 
 
 def _agree(got: tuple[object, ...], expected: tuple[object, ...], names: tuple[str, ...]) -> None:
-    for name, one, other in zip(names, got, expected, strict=True):
-        size = float(np.abs(np.asarray(other, np.float64)).max(initial=0.0))
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10 * size + 1e-13, err_msg=name)
+    for name, actual, desired in zip(names, got, expected, strict=True):
+        size = float(np.abs(np.asarray(desired, np.float64)).max(initial=0.0))
+        np.testing.assert_allclose(actual, desired, rtol=1e-9, atol=1e-10 * size + 1e-13, err_msg=name)
 
 
 @pytest.mark.parametrize("filtered", [False, True])
@@ -108,7 +108,7 @@ def test_an_error_that_the_compiled_jacobian_does_not_have_is_refused() -> None:
 
 
 def test_outliers_are_those_of_numpy() -> None:
-    found = 0
+    outlier_count = 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
         samples = _samples(rng, 1000.0, False)
@@ -120,8 +120,8 @@ def test_outliers_are_those_of_numpy() -> None:
         got = find_outliers(*arguments)
         np.testing.assert_array_equal(got, plain_outliers.find_outliers(*arguments))
         np.testing.assert_array_equal(values, before)
-        found += int(got.sum())
-    assert found > 20
+        outlier_count += int(got.sum())
+    assert outlier_count > 20
 
 
 def _both_appended(t_ns: Ints, values: Floats, more_ns: Ints, more: Floats, needed_ns: int) -> bool:

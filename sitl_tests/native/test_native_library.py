@@ -66,10 +66,10 @@ def test_both_libraries_give_the_same_bits(tree: Path) -> None:
     wider = tree / "companion/native/kernels-avx2.so"
     if not wider.exists():
         pytest.skip("this machine has one library")
-    given = {**os.environ, "PYTHONPATH": f"{tree}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": f"{tree}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
     said = []
     for _ in range(2):
-        done = subprocess.run([sys.executable, "-P", "-c", _SMOOTHED], env=given, capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-P", "-c", _SMOOTHED], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         said.append(done.stdout)
         wider.unlink(missing_ok=True)

@@ -37,10 +37,10 @@ def _sanitizer() -> str:
     compiler = shlex.split(os.environ.get("CC", "cc"))
     if shutil.which(compiler[0]) is None:
         pytest.skip(f"no C compiler: {compiler[0]} is not there")
-    found = subprocess.run([*compiler, "-print-file-name=libasan.so"], capture_output=True, text=True).stdout.strip()
-    if not Path(found).is_absolute():
+    library = subprocess.run([*compiler, "-print-file-name=libasan.so"], capture_output=True, text=True).stdout.strip()
+    if not Path(library).is_absolute():
         pytest.skip(f"{compiler[0]} has no address sanitizer")
-    return found
+    return library
 
 
 @pytest.fixture(scope="module")
@@ -76,5 +76,5 @@ def test_no_kernel_reads_or_writes_where_it_should_not(tree: Path) -> None:
     done = _run(tree, "-m", "pytest", *options, *DRIVERS)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     assert " passed" in done.stdout
-    seen = _run(tree, "-c", "import ctypes; ctypes.CDLL('companion/native/kernels.so').wrong(4)")
-    assert "wrong.c" in seen.stderr, "the sanitizer sees nothing"
+    wrong_write = _run(tree, "-c", "import ctypes; ctypes.CDLL('companion/native/kernels.so').wrong(4)")
+    assert "wrong.c" in wrong_write.stderr, "the sanitizer sees nothing"

@@ -76,10 +76,10 @@ def test_bias_parameters_age_and_are_solved_as_in_numpy(n: int, estimated: int, 
         order = rng.permutation(c)
         kinds = np.sort(order[:estimated]), np.sort(order[estimated:])
         wandering = 1 + rng.permutation(c)[: c // 2]
-        mine, plain = ([each.copy() for each in (information, x, covariance)] for _ in range(2))
-        bias_information.age_information(*mine, wandering, sigma, 0.9)
+        compiled, plain = ([each.copy() for each in (information, x, covariance)] for _ in range(2))
+        bias_information.age_information(*compiled, wandering, sigma, 0.9)
         plain_bias.age_information(*plain, wandering, sigma, 0.9)
-        for got, expected in zip(mine, plain, strict=True):
+        for got, expected in zip(compiled, plain, strict=True):
             np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-14 * float(np.abs(expected).max()))
         got, expected = ((np.zeros(c), np.diag(sigma**2)) for _ in range(2))
         bias_information.solve_parameters(information, sigma, *kinds, *got)
@@ -191,15 +191,15 @@ def test_lines_are_followed_and_removed_as_in_python(multiples: list[list[int]])
         for hz in frequency_hz:
             values += rng.standard_normal(6) * np.cos(2 * np.pi * 1.01 * hz * t + rng.uniform(0, 6, 6))
         values[int(rng.integers(0, 400)), 2] += 100.0
-        mine: LineStates = line_states(frequency_hz, multiples, np.full(6, 1e4), 1e3)
-        plain = copied(mine)
+        compiled: LineStates = line_states(frequency_hz, multiples, np.full(6, 1e4), 1e3)
+        plain = copied(compiled)
         for first, end in ((0, 250), (250, 251), (251, 400)):
             arguments = (t_ns[:end], values[:end], first, 1e-3)
-            got = remove_lines(*arguments, mine)
+            got = remove_lines(*arguments, compiled)
             with np.errstate(invalid="ignore"):  # before the first sample there is an infinite gap
                 _agree(got, plain_lines.remove_lines(*arguments, plain), 1e-7)
-        for name, one, other in zip(LineStates._fields, mine, plain, strict=True):
-            _agree(one, other, 1e-6, name)
+        for name, actual, desired in zip(LineStates._fields, compiled, plain, strict=True):
+            _agree(actual, desired, 1e-6, name)
 
 
 @pytest.mark.parametrize("length", [2, 7, 100, 400])

@@ -27,8 +27,8 @@ def _forecast(rng: np.random.Generator, n: int, eyes: object) -> BlurForecast:
     rest = (rng.standard_normal(3), 20.0 * rng.standard_normal(3), nearness)
     arguments = (rates, covariance, 1e-9 * STEP_NS, *timing, *rest)
     got, expected = streaks(eyes, *arguments), plain.streak_px(eyes, *arguments)
-    for name, one, other in zip(got._fields, got, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12 * np.abs(other).max(), err_msg=name)
+    for name, actual, desired in zip(got._fields, got, expected, strict=True):
+        np.testing.assert_allclose(actual, desired, rtol=1e-10, atol=1e-12 * np.abs(desired).max(), err_msg=name)
     image, per_rate, acceleration, rms = got
     t_ns = 10**12 + STEP_NS * np.arange(n)
     spring = -1e3 * rng.random((2, 2))
@@ -37,7 +37,7 @@ def _forecast(rng: np.random.Generator, n: int, eyes: object) -> BlurForecast:
 
 @pytest.mark.parametrize("cameras", ["none", "nadir-2m", "forward-2m"])
 def test_blur_and_its_minima_are_those_of_numpy(cameras: str) -> None:
-    eyes, found = _blind(), 0
+    eyes, instant_count = _blind(), 0
     if cameras != "none":
         airframe = load_airframe(cameras)
         assert airframe.left_camera is not None
@@ -57,5 +57,5 @@ def test_blur_and_its_minima_are_those_of_numpy(cameras: str) -> None:
             assert instant.t_host_ns - blur.t_host_ns[0] == pytest.approx(t_ns, abs=1.0)
             assert instant.sigma_ns == pytest.approx(sigma_ns, abs=1.0, rel=1e-6)
             assert instant.blur_px == pytest.approx(px, rel=1e-7, abs=1e-12)
-        found += len(instants)
-    assert found > 20
+        instant_count += len(instants)
+    assert instant_count > 20

@@ -54,13 +54,13 @@ def test_a_part_file_is_of_one_truth(tmp_path: Path) -> None:
 
 
 def test_the_pooled_suites_meet_every_combination() -> None:
-    found = cells("six-axis", 50, 40.0)
+    suite_cells = cells("six-axis", 50, 40.0)
     met = {
         (c.spec.symmetric.frequency_hz, c.spec.symmetric.damping, c.spec.gust.name, c.spec.second_symmetric is None)
-        for c in found
+        for c in suite_cells
     }
     assert len(met) == len(FREQUENCIES_HZ) * len(DAMPINGS) * len(SHAPES) * 2
-    assert sum(len(c.seeds) for c in found) == 100
+    assert sum(len(c.seeds) for c in suite_cells) == 100
 
 
 def test_no_seed_flies_twice() -> None:

@@ -40,9 +40,9 @@ def test_corners_are_where_the_true_rig_projects_them(kind: str) -> None:
     off = []
     for shot, held in enumerate(itertools.islice(board_poses(ShownBoard(kind, squares, square_m), rig, 3), 1, 24, 4)):
         for side in Side:
-            found = find_corners(renderer.render(side, held, shot), board)
-            if found is not None:
-                off.append(found.pixels - _true_pixels(rig, side, board, held)[found.ids])
+            corners = find_corners(renderer.render(side, held, shot), board)
+            if corners is not None:
+                off.append(corners.pixels - _true_pixels(rig, side, board, held)[corners.ids])
     assert len(off) >= 8
     every = np.concatenate(off)
     assert np.abs(every.mean(axis=0)).max() < 0.01
@@ -56,10 +56,10 @@ def test_the_holder_keeps_still_and_moves_on_and_keeps_a_chessboard_in_both_imag
     board, path = Board("chessboard", squares, square_m), []
     for held in itertools.islice(board_poses(ShownBoard("chessboard", squares, square_m), rig, 1), 80):
         path.append(held)
-    seen = np.array([[_true_pixels(rig, side, board, held) for side in Side] for held in path])
-    moved = np.abs(np.diff(seen, axis=0)).max(axis=(1, 2, 3))
+    corners_px = np.array([[_true_pixels(rig, side, board, held) for side in Side] for held in path])
+    moved = np.abs(np.diff(corners_px, axis=0)).max(axis=(1, 2, 3))
     assert np.all((moved == 0.0) == (np.arange(79) % 4 % 3 != 0))  # three alike, one on the way
-    still = seen[1::4]
+    still = corners_px[1::4]
     inside = np.all((still > 0) & (still < np.array([639, 479])), axis=(1, 2, 3))
     assert inside.mean() > 0.9
     assert np.ptp([held.place_m[2] for held in path]) > 1.0
@@ -85,8 +85,8 @@ def test_a_rehearsal_over_the_camera_port_finds_the_true_rig(
         assert text in said
     assert float(said.rsplit("error over sigma ", 1)[1].split(" rms")[0]) < 2.0
     true = Rig.from_airframe(uncalibrated(load_airframe("forward-2m"), 1))
-    found = Rig.from_airframe(load_airframe(str(tmp_path / "airframe.toml")))
-    for camera, other in ((true.left, found.left), (true.right, found.right)):
+    calibrated = Rig.from_airframe(load_airframe(str(tmp_path / "airframe.toml")))
+    for camera, other in ((true.left, calibrated.left), (true.right, calibrated.right)):
         assert other.lens.focal_px == pytest.approx(camera.lens.focal_px, abs=2.0)
     for name in ("report.html", "report.png", "live.jpg"):
         assert (tmp_path / name).stat().st_size > 10_000

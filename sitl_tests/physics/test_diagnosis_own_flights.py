@@ -14,8 +14,8 @@ from companion.cli.main import main
 def diagnosed(folder: Path, *options: str) -> dict[str, Any]:
     assert main(["simulate", "--out", str(folder), *options]) == 0
     assert main(["diagnose", str(folder), "--airframe", "nadir-2m", "--json", str(folder / "found.json")]) == 0
-    found: dict[str, Any] = json.loads((folder / "found.json").read_text(encoding="utf-8"))
-    return found
+    diagnosis: dict[str, Any] = json.loads((folder / "found.json").read_text(encoding="utf-8"))
+    return diagnosis
 
 
 @pytest.mark.slow
@@ -31,8 +31,8 @@ def test_a_flight_with_nothing_hidden_is_adequate(tmp_path: Path, seed: str) -> 
 def test_an_effect_that_reaches_into_the_rigid_motion_is_named(
     tmp_path: Path, name: str, parameter: str, value: float
 ) -> None:
-    found = diagnosed(tmp_path, "--seed", "204", "--effect", f"{name}={value}")
-    assert found["verdict"] == "explained"
-    assert found["causes"][0]["name"] == name
-    low, high = found["causes"][0]["parameters"][parameter]["interval"]
+    diagnosis = diagnosed(tmp_path, "--seed", "204", "--effect", f"{name}={value}")
+    assert diagnosis["verdict"] == "explained"
+    assert diagnosis["causes"][0]["name"] == name
+    low, high = diagnosis["causes"][0]["parameters"][parameter]["interval"]
     assert low - 0.2 * value < value < high + 0.2 * value

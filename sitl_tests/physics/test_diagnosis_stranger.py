@@ -37,12 +37,12 @@ def diagnosed(folder: Path, flight: Flight, respoil: Callable[[Floats], Floats] 
     def never(constant: str) -> float:
         raise AssertionError(f"{constant} is no JSON")
 
-    found: dict[str, Any] = json.loads(text, parse_constant=never)
-    return found
+    diagnosis: dict[str, Any] = json.loads(text, parse_constant=never)
+    return diagnosis
 
 
-def names(found: dict[str, Any]) -> set[str]:
-    return {name for cause in found["causes"] for name in (cause["name"], *cause["group"])}
+def names(diagnosis: dict[str, Any]) -> set[str]:
+    return {name for cause in diagnosis["causes"] for name in (cause["name"], *cause["group"])}
 
 
 def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: Path) -> None:
@@ -90,17 +90,17 @@ def test_a_fuselage_that_recoils_is_no_fault() -> None:
 
 @pytest.mark.slow
 def test_stamps_that_repeat_and_go_back_are_named_dropout_jitter(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, Flight(62), wandering)
-    assert found["verdict"] == "explained"
-    assert names(found) == {"dropout-jitter"}
-    assert found["causes"][0]["parameters"]["jitter_s"]["value"] == pytest.approx(0.001, rel=0.05)
+    diagnosis = diagnosed(tmp_path, Flight(62), wandering)
+    assert diagnosis["verdict"] == "explained"
+    assert names(diagnosis) == {"dropout-jitter"}
+    assert diagnosis["causes"][0]["parameters"]["jitter_s"]["value"] == pytest.approx(0.001, rel=0.05)
 
 
 @pytest.mark.slow
 def test_a_torn_recording_is_diagnosed_like_a_whole_one(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, Flight(62), torn)
-    assert found["verdict"] == "adequate"
-    assert any("in 2 segments are judged" in note for note in found["notes"])
+    diagnosis = diagnosed(tmp_path, Flight(62), torn)
+    assert diagnosis["verdict"] == "adequate"
+    assert any("in 2 segments are judged" in note for note in diagnosis["notes"])
 
 
 @pytest.mark.slow
@@ -136,10 +136,10 @@ def test_another_hand_s_form_of_an_effect_is_explained_by_its_name(
 
 @pytest.mark.slow
 def test_a_late_stream_is_named_with_its_delay(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, Flight(12, right_late_s=0.004, rate_hz=400.0))
-    assert found["verdict"] == "explained"
-    assert "stream-delay" in names(found)
-    low, high = found["causes"][0]["parameters"]["delay_s"]["interval"]
+    diagnosis = diagnosed(tmp_path, Flight(12, right_late_s=0.004, rate_hz=400.0))
+    assert diagnosis["verdict"] == "explained"
+    assert "stream-delay" in names(diagnosis)
+    low, high = diagnosis["causes"][0]["parameters"]["delay_s"]["interval"]
     # each stream's own offset is drawn with 0.2 ms
     assert low - 0.0006 < 0.004 < high + 0.0006
 

@@ -51,8 +51,8 @@ def test_equation_12_as_printed_has_its_first_root_at_3_87() -> None:
 
 
 def test_convergence_lengthens_and_divergence_is_table_3() -> None:
-    found = equations.convergence()
+    convergence = equations.convergence()
     still, theta = 5.137, 1.98 * (1 / 5.078 - 1 / 5.137)
-    assert found["converged_px"] < found["still_px"] < found["diverged_px"]
-    assert found["converged_range_m"] == pytest.approx(1 / (1 / still - theta / 1.98), abs=0.0015)
-    assert found["diverged_range_m"] == pytest.approx(5.078, abs=0.0005)
+    assert convergence["converged_px"] < convergence["still_px"] < convergence["diverged_px"]
+    assert convergence["converged_range_m"] == pytest.approx(1 / (1 / still - theta / 1.98), abs=0.0015)
+    assert convergence["diverged_range_m"] == pytest.approx(5.078, abs=0.0005)

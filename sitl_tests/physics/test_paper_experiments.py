@@ -87,16 +87,16 @@ def test_the_correction_removes_more_than_the_paper_claims(key: str, paper_remov
     trial = next(entry for entry in trials.trials() if entry.key == key)
     outcome = experiments.run(trial, trials.QUICK, trials.SEEDS[0])
     assert not outcome.flown.refused
-    found = scores.summary(outcome, planned=True)
-    assert found["shots"] >= 8
-    assert found["removed"] > paper_removes
-    assert found["oracle"]["rms_percent"] < 0.1 * found["corrected"]["rms_percent"]
+    summary = scores.summary(outcome, planned=True)
+    assert summary["shots"] >= 8
+    assert summary["removed"] > paper_removes
+    assert summary["oracle"]["rms_percent"] < 0.1 * summary["corrected"]["rms_percent"]
     # the rigid error is what the toe of the shots makes of the distance
     toes = np.array([shot.toe_rad for shot in outcome.flown.shots if shot.planned])
     baseline_m = 0.254 if key == "boom_1m" else 1.98
     wide = 1 + (baseline_m / 2 / trial.distance_m) ** 2
     expected = math.sqrt(np.mean((toes * wide / baseline_m) ** 2))
-    assert found["rigid"]["inverse_rms_pm"] == pytest.approx(expected, rel=0.05)
+    assert summary["rigid"]["inverse_rms_pm"] == pytest.approx(expected, rel=0.05)
     # fired where the wing stands nearly still
-    assert found["phase_median_deg"] < 15.0
-    assert found["blur_median_px"] < 0.5 * scores.summary(outcome, planned=False)["blur_median_px"]
+    assert summary["phase_median_deg"] < 15.0
+    assert summary["blur_median_px"] < 0.5 * scores.summary(outcome, planned=False)["blur_median_px"]

@@ -39,13 +39,13 @@ def test_a_sweep_gives_the_quadrature_of_a_single_oscillator() -> None:
     ratio = f / f0
     felt = -(ratio**2) / (1 - ratio**2 + 2j * zeta * ratio)
     accel = np.fft.irfft(np.fft.rfft(force) * felt, count)
-    found, peaks = modal_peaks.quadrature_peak(force, np.stack([accel, -0.3 * accel], axis=1), (8.0, 10.0))
-    assert found == pytest.approx(f0, abs=0.03)
+    peak_hz, peaks = modal_peaks.quadrature_peak(force, np.stack([accel, -0.3 * accel], axis=1), (8.0, 10.0))
+    assert peak_hz == pytest.approx(f0, abs=0.03)
     window = np.sin(np.pi * np.arange(1, 16) / 16) ** 2  # 15 bins of 1/60 Hz
     near = 1 + np.arange(-7, 8) / 60 / f0
-    seen = window @ np.imag(-(near**2) / (1 - near**2 + 2j * zeta * near)) / window.sum()
-    assert 0.9 / (2 * zeta) < seen < 1 / (2 * zeta)
-    assert peaks[0] == pytest.approx(seen, rel=0.01)
+    windowed_peak = window @ np.imag(-(near**2) / (1 - near**2 + 2j * zeta * near)) / window.sum()
+    assert 0.9 / (2 * zeta) < windowed_peak < 1 / (2 * zeta)
+    assert peaks[0] == pytest.approx(windowed_peak, rel=0.01)
     assert peaks[1] / peaks[0] == pytest.approx(-0.3, rel=1e-9)
 
 
@@ -91,8 +91,8 @@ def test_the_measured_transfer_function_is_the_closed_form_one() -> None:
     f = response.frequency_hz
     first, second = shaken_boom.boom_wing(0.01)[1]
     total = np.ones(len(f), complex)
-    for mode, own in ((first, 20.1057), (second, 297.1625)):
-        total += base_participation(mode) * f**2 / (own**2 - f**2 + 0.02j * own * f)
+    for mode, natural_hz in ((first, 20.1057), (second, 297.1625)):
+        total += base_participation(mode) * f**2 / (natural_hz**2 - f**2 + 0.02j * natural_hz * f)
     away = np.abs(f - 20.1) > 1.0
     assert np.median(np.abs(response.gain / np.abs(total) - 1)[away]) < 0.02
     assert np.max(response.gain) == pytest.approx(np.max(np.abs(total)), rel=0.15)

@@ -27,9 +27,9 @@ def bisected(mu: float, low: float, high: float) -> float:
 @pytest.mark.parametrize(("mode", "ratio"), [(0, 2.260), (1, 2.389), (2, 2.329)])
 def test_each_printed_root_implies_its_own_tip_mass(mode: int, ratio: float) -> None:
     root = printed.MODES[mode].root
-    found = beam_tables.implied_mass_ratio(root)
-    assert found == pytest.approx(ratio, abs=5e-4)
-    assert frequency_equation(root, found) == pytest.approx(0.0, abs=1e-6 * math.cosh(root))
+    mass_ratio = beam_tables.implied_mass_ratio(root)
+    assert mass_ratio == pytest.approx(ratio, abs=5e-4)
+    assert frequency_equation(root, mass_ratio) == pytest.approx(0.0, abs=1e-6 * math.cosh(root))
 
 
 def test_the_best_fit_is_the_audited_one_and_omega_1_belongs_to_another_root() -> None:
@@ -56,10 +56,10 @@ def test_the_strip_gives_the_printed_frequencies(tip_kg: float, percents: tuple[
     mu = tip_kg / (2700 * 0.0507 * 0.001 * 0.1115)
     brackets = ((0.5, 2.0), (3.5, 4.5), (6.5, 7.5))
     modes = beam_tables.corrected_beam(tip_kg).modes(3)
-    for mode, bracket, row, share in zip(modes, brackets, printed.MODES, percents, strict=True):
+    for mode, bracket, row, percent in zip(modes, brackets, printed.MODES, percents, strict=True):
         omega = bisected(mu, *bracket) ** 2 * scale
         assert mode.omega_radps == pytest.approx(omega, rel=1e-9)
-        assert abs(100 * (omega / row.omega_radps - 1)) == pytest.approx(share, abs=0.006)
+        assert abs(100 * (omega / row.omega_radps - 1)) == pytest.approx(percent, abs=0.006)
 
 
 def test_no_power_of_ten_repairs_table_1() -> None:

@@ -136,6 +136,6 @@ def test_averages_alone_lose_a_white_gust_that_the_first_moment_keeps(frequency,
     both = np.vstack([mean, (np.arange(4) - 1.5) / 4])
     _, best = _percent(fine, rms, 500)
     _, lossy = _percent(joined.project(mean), rms, 125)
-    _, kept = _percent(joined.project(both), rms, 125)
-    assert kept == pytest.approx(best, rel=1e-3)
+    _, with_moment = _percent(joined.project(both), rms, 125)
+    assert with_moment == pytest.approx(best, rel=1e-3)
     assert lossy > loss * best

@@ -56,8 +56,8 @@ def test_every_gust_gives_the_wanted_rms_from_the_first_instant(gust) -> None:
         for k in (0, run.steps // 2, run.steps):
             # 60 independent values: the standard error of an rms is 9 %, so 4 of them
             assert run.q_m[:, mode, k].std() == pytest.approx(0.005, rel=0.37)
-    whole = np.sqrt((run.q_m**2).mean(axis=(0, 2)))
-    assert whole == pytest.approx([0.005, 0.005], rel=0.15)
+    rms_m = np.sqrt((run.q_m**2).mean(axis=(0, 2)))
+    assert rms_m == pytest.approx([0.005, 0.005], rel=0.15)
 
 
 @pytest.mark.parametrize(("gust", "slope"), [(WHITE, 0.0), (TWO_EIGHT, -4.0), (DRYDEN, -2.0)])
@@ -163,8 +163,8 @@ def test_chunks_hold_every_sample_once_on_the_host_clock() -> None:
     ends = [round(0.01 * k, 3) for k in range(1, 201)]
     batches = [batch for _, some in chunks(run, values, 0, ends) for batch in some]
     for station in Station:
-        mine = [batch for batch in batches if batch.station is station]
-        t = np.sort(np.concatenate([batch.t_ns for batch in mine]))
+        station_batches = [batch for batch in batches if batch.station is station]
+        t = np.sort(np.concatenate([batch.t_ns for batch in station_batches]))
         assert np.array_equal(t, EPOCH_HOST_NS + 500_000 + 1_000_000 * np.arange(2000))
     assert all(batch.axes == Axis.Z for batch in batches if batch.station is not Station.ROOT)
     assert any(a.t_ns[0] > b.t_ns[0] for a, b in pairwise(batches))  # arrival is not in order

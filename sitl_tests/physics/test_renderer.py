@@ -59,7 +59,7 @@ def _shifts(reference: np.ndarray, other: np.ndarray, where: np.ndarray, block: 
     first, second = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0) for image in (reference, moved))
     mean = 0.5 * (first + second)
     gradient = np.stack([np.gradient(mean, axis=1), np.gradient(mean, axis=0)], axis=-1)
-    found = []
+    offsets_px = []
     for y in range(0, rows - block + 1, block):
         for x in range(0, columns - block + 1, block):
             cut = np.s_[y : y + block, x : x + block]
@@ -67,8 +67,8 @@ def _shifts(reference: np.ndarray, other: np.ndarray, where: np.ndarray, block: 
                 slopes = gradient[cut].reshape(-1, 2)
                 difference = (first - second)[cut].ravel()
                 slopes, difference = slopes - slopes.mean(axis=0), difference - difference.mean()
-                found.append(np.linalg.lstsq(slopes, difference, rcond=None)[0])
-    return np.array(found)
+                offsets_px.append(np.linalg.lstsq(slopes, difference, rcond=None)[0])
+    return np.array(offsets_px)
 
 
 def _predicted(scene: Scene, view: PosedCamera, other: PosedCamera) -> np.ndarray:
@@ -97,13 +97,13 @@ def _distances(*distances_m: float, between: tuple[float, ...]) -> list[object]:
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_m", _distances(4.0, 20.0, 100.0, between=(6.0, 10.0, 40.0, 60.0)))
 def test_nadir_disparity_with_true_extrinsics_is_unbiased_to_a_hundredth_of_a_pixel(distance_m: float) -> None:
-    found = [
+    shifts_by_seed = [
         _pair_shifts(
             NADIR, Path(distance_m, 22.0, trim_m=0.0149, swing_m=0.005, roll_rate_radps=0.1), ground_scene(seed), seed
         )
         for seed in range(3)
     ]
-    shifts = np.vstack(found)
+    shifts = np.vstack(shifts_by_seed)
     error = shifts.mean(axis=0)
     standard = shifts.std(axis=0) / np.sqrt(len(shifts))
     assert len(shifts) > 150
@@ -114,11 +114,11 @@ def test_nadir_disparity_with_true_extrinsics_is_unbiased_to_a_hundredth_of_a_pi
 @pytest.mark.parametrize("distance_m", _distances(4.0, 100.0, between=(12.0, 30.0)))
 def test_forward_disparity_on_a_board_is_unbiased_too(distance_m: float) -> None:
     wide = board(np.array([distance_m, 0.0, -60.0]), 0.0, (1.2 * distance_m + 4.0, distance_m), 5)
-    found = [
+    shifts_by_seed = [
         _pair_shifts(FORWARD, Path(60.0, 22.0, trim_m=0.0149, swing_m=0.004), Scene((ground(), wide), seed), seed)
         for seed in range(3)
     ]
-    shifts = np.vstack(found)
+    shifts = np.vstack(shifts_by_seed)
     assert np.all(shifts.std(axis=0) / np.sqrt(len(shifts)) < 0.004)
     assert np.all(np.abs(shifts.mean(axis=0)) < 0.01)
 
@@ -143,10 +143,10 @@ def test_there_is_no_pixel_locking() -> None:
 def test_a_point_of_the_world_looks_alike_from_far_apart() -> None:
     """The same ground from another place, height and bank: texture belongs to the world, not to the image."""
     scene = ground_scene(3)
-    one = Renderer(NADIR, fly(NADIR, Path(20.0)), scene, 1)
-    two = Renderer(NADIR, fly(NADIR, Path(23.0, east_m=1.7, roll_rad=0.15)), scene, 2)
-    views = [renderer.view(Side.LEFT, MIDDLE_NS) for renderer in (one, two)]
-    images = [renderer.render(Side.LEFT, INSTANT, 0) for renderer in (one, two)]
+    level = Renderer(NADIR, fly(NADIR, Path(20.0)), scene, 1)
+    banked = Renderer(NADIR, fly(NADIR, Path(23.0, east_m=1.7, roll_rad=0.15)), scene, 2)
+    views = [renderer.view(Side.LEFT, MIDDLE_NS) for renderer in (level, banked)]
+    images = [renderer.render(Side.LEFT, INSTANT, 0) for renderer in (level, banked)]
     shifts = _shifts(*images, _predicted(scene, *views))
     assert len(shifts) > 100
     assert np.abs(shifts.mean(axis=0)).max() < 0.01
@@ -215,11 +215,11 @@ def test_a_rolling_shutter_sees_every_row_at_its_own_time() -> None:
     row_ns, speed, distance = 20_000, 22.0, 20.0
     renderer = Renderer(NADIR, fly(NADIR, Path(distance, speed)), ground_scene(8), 1)
     rolling = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 500_000, row_ns), 0)
-    whole = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 500_000), 1)
+    global_shutter = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 500_000), 1)
     stretch = speed * row_ns * 1e-9 * 800.0 / distance
-    where = _pixels(whole.shape).reshape(*whole.shape, 2)
+    where = _pixels(global_shutter.shape).reshape(*global_shutter.shape, 2)
     where[..., 1] = (where[..., 1] - 239.5 * stretch) / (1.0 - stretch)
-    shifts = _shifts(whole, rolling, where)
+    shifts = _shifts(global_shutter, rolling, where)
     assert np.abs(shifts.mean(axis=0)).max() < 0.01
     assert np.sqrt(np.mean(shifts**2)) < 0.05
     assert np.abs(where[:, 0, 1] - np.arange(480)).max() > 4.0
@@ -290,10 +290,10 @@ def test_the_edge_of_a_board_lies_where_it_projects(offset_m: float) -> None:
     image = renderer.render(Side.LEFT, INSTANT, 0)
     corner = renderer.view(Side.LEFT, MIDDLE_NS).project(plain.corners_m())
     right_edge = float(corner[:, 0].max())
-    found = np.mean(
+    edge_px = np.mean(
         [_edge_column(image, row, int(right_edge) - 12, int(right_edge) + 12) for row in range(160, 320, 8)]
     )
-    assert found == pytest.approx(right_edge, abs=0.6)  # the texture under the step blurs the measure, not the place
+    assert edge_px == pytest.approx(right_edge, abs=0.6)  # the texture under the step blurs the measure, not the place
     assert image[5, 5] == pytest.approx(200, abs=8)
 
 

@@ -207,12 +207,12 @@ def test_a_blow_to_the_fuselage_leaves_the_tips_behind(airframe: Airframe, peak_
     s = np.linspace(0.0, length_s, 2001)
     for t_s in (1.025, 1.07, 1.2):
         here, calm = flight.truth.at(round(t_s * 1e9)), flight.truth.at(500_000_000)
-        for slot, mode, share in ((0, wing.symmetric, 1.566), (2, wing.second_symmetric, -0.868)):
+        for slot, mode, participation in ((0, wing.symmetric, 1.566), (2, wing.second_symmetric, -0.868)):
             omega, zeta = 2 * math.pi * mode.frequency_hz.value, mode.damping.value
             ringing, since = omega * math.sqrt(1 - zeta**2), t_s - begun_s - s
             answer = np.exp(-zeta * omega * since) * np.sin(ringing * since) / ringing
             blow = peak_mps2 * np.sin(np.pi * s / length_s)
-            wanted = -share * np.trapezoid(blow * answer, s)
+            wanted = -participation * np.trapezoid(blow * answer, s)
             assert here.q_m[slot] - calm.q_m[slot] == pytest.approx(wanted, abs=2e-3 * abs(peak_mps2) / omega**2)
         assert here.q_m[1] == pytest.approx(calm.q_m[1], abs=1e-9)
     if peak_mps2 > 0:

@@ -61,9 +61,9 @@ def test_the_truth_has_what_no_inertial_sensor_sees() -> None:
     """Thermal set and mounting: they move the toe during the flight, by what the airframe says."""
     flight = build_flight(wide_airframe(), 1, SETTLED_S)
     eyes = TrueEyes(flight)
-    seen = []
+    slow_toe_rad = []
     for t_ns in range(0, 9_000_000_000, 500_000_000):
         bend = flight.truth.at(t_ns).slope_rad.sum()
-        seen.append(eyes.toe_rad(t_ns) - bend)
-    assert 1e-4 < np.abs(seen).max() < 5e-3
-    assert np.ptp(seen) > 2e-5
+        slow_toe_rad.append(eyes.toe_rad(t_ns) - bend)
+    assert 1e-4 < np.abs(slow_toe_rad).max() < 5e-3
+    assert np.ptp(slow_toe_rad) > 2e-5

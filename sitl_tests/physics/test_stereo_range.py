@@ -56,9 +56,15 @@ def test_sigma_of_one_match_and_of_one_milliradian(range_m: float, sigma_one_m: 
     airframe = nadir(**PERFECT)
     rig = Rig.from_airframe(airframe)
     matches = match_set(*raw_pixels(rig, ground_below(range_m, 400, 3, spread=NARROW), (0.0, 0.0)), sigma_px=0.2)
-    one = 1e-3 / np.sqrt(2.0)  # two independent tips make 1 mrad of relative toe
+    tip_sigma_rad = 1e-3 / np.sqrt(2.0)  # two independent tips make 1 mrad of relative toe
     answer = correct(
-        matches, bend(slope_sigma_rad=one), bend(slope_sigma_rad=one), rig, airframe, SETTINGS, PairConditions(0.0)
+        matches,
+        bend(slope_sigma_rad=tip_sigma_rad),
+        bend(slope_sigma_rad=tip_sigma_rad),
+        rig,
+        airframe,
+        SETTINGS,
+        PairConditions(0.0),
     )
     np.testing.assert_allclose(answer.depths.sigma_pm * range_m**2, sigma_one_m, rtol=0.01)
     assert answer.causes_m.modal == pytest.approx(sigma_toe_m, rel=0.01)

@@ -35,7 +35,7 @@ def _looking(airframe: Airframe, axes: tuple[str, str, str]) -> Airframe:
     )
 
 
-def _seen(
+def _projected(
     rig: Rig, point: tuple[float, float, float], slope: float, twist: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     left = rig.project(Side.LEFT, rig.pose(Side.LEFT, slope, 0.0, twist), np.array(point))
@@ -47,18 +47,18 @@ def _seen(
 def test_disparity_of_the_resting_nadir_pair_is_focal_times_baseline_over_range(
     nadir: Rig, range_m: float, disparity_px: float
 ) -> None:
-    left, right = _seen(nadir, (0.0, 0.0, range_m), 0.0)
+    left, right = _projected(nadir, (0.0, 0.0, range_m), 0.0)
     assert left[0] - right[0] == pytest.approx(disparity_px, abs=1e-9)
     assert left[1] == pytest.approx(right[1], abs=1e-9)
 
 
 def test_up_bend_of_a_nadir_pair_diverges_and_adds_disparity(nadir: Rig) -> None:
     """Both tips up by 2.25 mrad: disparity grows by f * 4.5 mrad = 3.6 px, so the rigid range of 60 m reads 52.8 m."""
-    rest_left, rest_right = _seen(nadir, (0.0, 0.0, 60.0), 0.0)
-    left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.00225)
+    rest_left, rest_right = _projected(nadir, (0.0, 0.0, 60.0), 0.0)
+    left, right = _projected(nadir, (0.0, 0.0, 60.0), 0.00225)
     assert (left[0] - right[0]) - (rest_left[0] - rest_right[0]) == pytest.approx(3.6, abs=0.002)
     assert FOCAL * BASELINE / (left[0] - right[0]) == pytest.approx(60.0 / (1.0 + 60.0 * 0.0045 / 1.98), abs=0.005)
-    left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.002239)  # the angle of the paper's board
+    left, right = _projected(nadir, (0.0, 0.0, 60.0), 0.002239)  # the angle of the paper's board
     assert FOCAL * BASELINE / (left[0] - right[0]) == pytest.approx(52.83, abs=0.005)
     assert left[0] > rest_left[0]
     assert right[0] < rest_right[0]
@@ -69,15 +69,15 @@ def test_antisymmetric_bend_of_a_nadir_pair_moves_both_images_the_same_way(nadir
     point = np.array([0.0, 0.0, 60.0])
     left = nadir.project(Side.LEFT, nadir.pose(Side.LEFT, -0.002, 0.0), point)
     right = nadir.project(Side.RIGHT, nadir.pose(Side.RIGHT, 0.002, 0.0), point)
-    rest_left, rest_right = _seen(nadir, (0.0, 0.0, 60.0), 0.0)
+    rest_left, rest_right = _projected(nadir, (0.0, 0.0, 60.0), 0.0)
     assert left[0] - rest_left[0] == pytest.approx(-1.6, abs=0.003)
     assert right[0] - rest_right[0] == pytest.approx(-1.6, abs=0.003)
 
 
 def test_nose_up_twist_of_a_nadir_pair_moves_the_ground_down_the_image(nadir: Rig) -> None:
     """Nose-up turns the view forward; what was at the centre is then behind, that is lower in the image."""
-    left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.0, twist=0.005)
-    rest_left, rest_right = _seen(nadir, (0.0, 0.0, 60.0), 0.0)
+    left, right = _projected(nadir, (0.0, 0.0, 60.0), 0.0, twist=0.005)
+    rest_left, rest_right = _projected(nadir, (0.0, 0.0, 60.0), 0.0)
     for bent, rest in ((left, rest_left), (right, rest_right)):
         assert bent[1] - rest[1] == pytest.approx(4.0, abs=0.01)
 
@@ -100,18 +100,18 @@ def test_bend_of_a_forward_pair_is_roll(forward: Rig) -> None:
     """
     slope, far = 0.00225, 1.0e6
     for row in (-240.0, 240.0):
-        left, right = _seen(forward, (far, 0.0, far * row / FOCAL), slope)
+        left, right = _projected(forward, (far, 0.0, far * row / FOCAL), slope)
         assert left[0] - right[0] == pytest.approx(0.0045 * row, abs=3e-3)
         assert abs(left[0] - right[0]) == pytest.approx(1.08, abs=3e-3)
     for column in (-320.0, 320.0):
-        left, right = _seen(forward, (far, far * column / FOCAL, 0.0), slope)
+        left, right = _projected(forward, (far, far * column / FOCAL, 0.0), slope)
         assert left[1] - right[1] == pytest.approx(-0.0045 * column, abs=3e-3)
         assert abs(left[1] - right[1]) == pytest.approx(1.44, abs=3e-3)
 
 
 def test_bend_of_a_forward_pair_leaves_the_disparity_of_the_middle_row_alone(forward: Rig) -> None:
-    rest_left, rest_right = _seen(forward, (60.0, 0.0, 0.0), 0.0)
-    left, right = _seen(forward, (60.0, 0.0, 0.0), 0.02)
+    rest_left, rest_right = _projected(forward, (60.0, 0.0, 0.0), 0.0)
+    left, right = _projected(forward, (60.0, 0.0, 0.0), 0.02)
     assert left[0] - right[0] == pytest.approx(rest_left[0] - rest_right[0], abs=0.01)
 
 
@@ -128,6 +128,6 @@ def test_any_look_angle_mixes_toe_and_roll(elevation_deg: float) -> None:
         right_camera=dataclasses.replace(airframe.right_camera, rotation_rad=(tilt, 0.0, 0.0)),
     )
     far = 1.0e6 * np.array([np.cos(tilt), 0.0, -np.sin(tilt)])
-    left, right = _seen(Rig.from_airframe(tilted), (far[0], far[1], far[2]), 0.00225)
+    left, right = _projected(Rig.from_airframe(tilted), (far[0], far[1], far[2]), 0.00225)
     assert left[0] - right[0] == pytest.approx(FOCAL * 0.0045 * np.sin(-tilt), abs=0.01)
     assert left[1] == pytest.approx(ROW, abs=0.01)

@@ -104,9 +104,9 @@ def _fly(
         now = EPOCH_NS + (first + 40) * 1_000_000
         for station in (Station.ROOT, *tips):
             t, values = streams[station]
-            part = slice(first, first + 40)
+            chunk = slice(first, first + 40)
             mask, have = (sent, axes) if station is not Station.ROOT else (np.ones(6, bool), Axis.ALL)
-            tracker.add(ImuBatch(station, ClockName.HOST, t[part], values[part] * mask, have, now))
+            tracker.add(ImuBatch(station, ClockName.HOST, t[chunk], values[chunk] * mask, have, now))
         state = tracker.advance(now)
         if state is not None:
             states.append(state)
@@ -131,14 +131,14 @@ def test_smoothed_deflection_rate_and_slopes_have_the_right_size_and_sign(
     airframe, motion, tracker, states = flown
     for lag_ms in (37, 211.3, 500, 873.7):
         t_ns = states[-1].t_host_ns - round(lag_ms * 1e6)
-        found = tracker.smooth(t_ns)
-        assert isinstance(found, Deflection)
+        deflection = tracker.smooth(t_ns)
+        assert isinstance(deflection, Deflection)
         q, v = _truth(airframe, motion, t_ns)
-        np.testing.assert_allclose(found.q_m, q, atol=2e-4)
-        np.testing.assert_allclose(found.qdot_mps, v, atol=6e-3)
-        np.testing.assert_allclose(found.slope_rad, S * np.array([q[0] - q[1], q[0] + q[1]]), atol=1e-3)
-        wrong = found.q_m - q
-        assert wrong @ np.linalg.solve(found.covariance[:2, :2], wrong) < 14.0  # chance: 1 in 1000
+        np.testing.assert_allclose(deflection.q_m, q, atol=2e-4)
+        np.testing.assert_allclose(deflection.qdot_mps, v, atol=6e-3)
+        np.testing.assert_allclose(deflection.slope_rad, S * np.array([q[0] - q[1], q[0] + q[1]]), atol=1e-3)
+        wrong = deflection.q_m - q
+        assert wrong @ np.linalg.solve(deflection.covariance[:2, :2], wrong) < 14.0  # chance: 1 in 1000
 
 
 def test_phase_is_zero_at_the_top_and_amplitude_is_that_of_the_sine(
@@ -161,15 +161,15 @@ def test_phase_is_zero_at_the_top_and_amplitude_is_that_of_the_sine(
 
 def test_forecast_meets_the_coming_peaks(flown: tuple[Airframe, Motion, WingTracker, list[ModeState]]) -> None:
     airframe, motion, tracker, states = flown
-    found = tracker.forecast(300_000_000, 1_000_000)
-    assert isinstance(found, Forecast)
-    assert found.t_host_ns[0] == states[-1].t_host_ns + 1_000_000
-    truth = [_truth(airframe, motion, int(t)) for t in found.t_host_ns]
+    forecast = tracker.forecast(300_000_000, 1_000_000)
+    assert isinstance(forecast, Forecast)
+    assert forecast.t_host_ns[0] == states[-1].t_host_ns + 1_000_000
+    truth = [_truth(airframe, motion, int(t)) for t in forecast.t_host_ns]
     q, v = np.array([x[0] for x in truth]), np.array([x[1] for x in truth])
-    np.testing.assert_allclose(found.q_m[:20], q[:20], atol=1.0e-3)
+    np.testing.assert_allclose(forecast.q_m[:20], q[:20], atol=1.0e-3)
     rates = S * np.stack([v[:, 0] - v[:, 1], v[:, 0] + v[:, 1]], axis=1)
-    np.testing.assert_allclose(found.slope_rate_radps[:20], rates[:20], atol=0.05)
-    variance = found.q_covariance[:, 1, 1]
+    np.testing.assert_allclose(forecast.slope_rate_radps[:20], rates[:20], atol=0.05)
+    variance = forecast.q_covariance[:, 1, 1]
     assert variance[200:].mean() > 2 * variance[:100].mean()  # what lies further ahead is known less
 
 
@@ -181,10 +181,12 @@ def test_rolls_and_pull_ups_are_not_taken_for_bending() -> None:
     errors = []
     for lag_ms in range(100, 900, 100):
         t_ns = states[-1].t_host_ns - lag_ms * 1_000_000
-        found = tracker.smooth(t_ns)
-        assert isinstance(found, Deflection)
-        errors.append((found.q_m - _truth(airframe, motion, t_ns)[0]) / np.sqrt(np.diag(found.covariance)[:2]))
-        assert abs(found.q_m[1]) < 3e-4
+        deflection = tracker.smooth(t_ns)
+        assert isinstance(deflection, Deflection)
+        errors.append(
+            (deflection.q_m - _truth(airframe, motion, t_ns)[0]) / np.sqrt(np.diag(deflection.covariance)[:2])
+        )
+        assert abs(deflection.q_m[1]) < 3e-4
     assert np.sqrt(np.mean(np.square(errors))) < 2.5
 
 
@@ -199,11 +201,11 @@ def test_the_sigma_tells_which_witnesses_there_were() -> None:
         ("vertical", Axis.Z, (Station.LEFT, Station.RIGHT)),
     ):
         tracker, states = _fly(airframe, streams, axes, tips, adapt=0)  # the same gust is believed each time
-        found = tracker.smooth(states[-1].t_host_ns - 500_000_000)
-        assert isinstance(found, Deflection)
-        sigmas[name] = np.sqrt(np.diag(found.covariance)[:2])
-        q, _ = _truth(airframe, motion, found.t_host_ns)
-        assert (np.abs(found.q_m - q) < 4 * sigmas[name]).all()
+        deflection = tracker.smooth(states[-1].t_host_ns - 500_000_000)
+        assert isinstance(deflection, Deflection)
+        sigmas[name] = np.sqrt(np.diag(deflection.covariance)[:2])
+        q, _ = _truth(airframe, motion, deflection.t_host_ns)
+        assert (np.abs(deflection.q_m - q) < 4 * sigmas[name]).all()
     assert (sigmas["one"] > sigmas["both"]).all()
     assert (sigmas["vertical"] > sigmas["both"]).all()
     assert sigmas["vertical"][1] > 1.5 * sigmas["both"][1]  # the symmetric one is mostly the trim's
@@ -227,7 +229,7 @@ def test_a_low_passed_root_is_seen_as_if_it_were_not() -> None:
     errors = []
     for lag_ms in range(100, 900, 50):
         t_ns = states[-1].t_host_ns - lag_ms * 1_000_000
-        found = tracker.smooth(t_ns)
-        assert isinstance(found, Deflection)
-        errors.append(found.q_m[0] - _truth(airframe, motion, t_ns)[0][0])
+        deflection = tracker.smooth(t_ns)
+        assert isinstance(deflection, Deflection)
+        errors.append(deflection.q_m[0] - _truth(airframe, motion, t_ns)[0][0])
     assert np.std(errors) < 0.04 * 0.006 / np.sqrt(2)

@@ -15,8 +15,8 @@ LENGTH_S = 6.0
 
 
 def _white_at_5_hz() -> list[Cell]:
-    found = cells("second-unknown", 50, LENGTH_S)
-    return [cell for cell in found if cell.spec.symmetric.frequency_hz == 5.0 and cell.spec.gust.name == "white"]
+    suite_cells = cells("second-unknown", 50, LENGTH_S)
+    return [cell for cell in suite_cells if cell.spec.symmetric.frequency_hz == 5.0 and cell.spec.gust.name == "white"]
 
 
 @pytest.mark.slow

@@ -45,16 +45,16 @@ def test_level_and_at_rest_only_gravity(side: Side) -> None:
 def test_up_bend_shows_gravity_on_the_lateral_axis_inward(side: Side, sign: float) -> None:
     # up-bent by psi, the left sensor leans right-side-down: lateral is +psi f_z with f_z = -g; the right is its mirror
     psi = 1.4 * 0.02
-    seen = sense_station(MODEL, side, TIP[side], _steady(), _path((0.02, 0.0)))[0]
-    assert seen[1] == pytest.approx(-sign * G * math.sin(psi), rel=1e-4)
-    assert seen[1] * sign < 0.0
+    reading = sense_station(MODEL, side, TIP[side], _steady(), _path((0.02, 0.0)))[0]
+    assert reading[1] == pytest.approx(-sign * G * math.sin(psi), rel=1e-4)
+    assert reading[1] * sign < 0.0
 
 
 @pytest.mark.parametrize("side", list(Side))
 def test_nose_up_twist_shows_gravity_forward(side: Side) -> None:
     # nose up by tau: the sensor's x axis points above the horizon and feels +g sin tau, as a pitched-up aircraft does
-    seen = sense_station(MODEL, side, TIP[side], _steady(), _path((0.02, 0.0)))[0]
-    assert seen[0] == pytest.approx(G * math.sin(0.5 * 0.02), rel=1e-3)
+    reading = sense_station(MODEL, side, TIP[side], _steady(), _path((0.02, 0.0)))[0]
+    assert reading[0] == pytest.approx(G * math.sin(0.5 * 0.02), rel=1e-3)
 
 
 def test_a_tip_that_accelerates_upward_feels_heavier_and_antisymmetry_has_its_sign() -> None:
@@ -92,11 +92,11 @@ def test_lever_arms_are_the_acceleration_of_a_point_carried_by_a_turning_body() 
 def test_the_sensor_is_turned_by_the_whole_rotation_vector() -> None:
     motion = _steady((1.0, -2.0, -12.0), (0.5, -0.4, 0.3))
     q = np.array([0.2, 0.1])  # far beyond a small angle
-    seen = sense_station(MODEL, Side.RIGHT, np.zeros(3), motion, _path((0.2, 0.1)))[0]
+    reading = sense_station(MODEL, Side.RIGHT, np.zeros(3), motion, _path((0.2, 0.1)))[0]
     phi = np.array([-(1.4 * q[0] + 1.6 * q[1]), 0.5 * q[0] - 0.3 * q[1], 0.0])
     body_from_sensor = Rotation.from_rotvec(phi)
-    assert body_from_sensor.apply(seen[:3]) == pytest.approx(motion.specific_force_mps2[0])
-    assert body_from_sensor.apply(seen[3:]) == pytest.approx(motion.rate_radps[0])
+    assert body_from_sensor.apply(reading[:3]) == pytest.approx(motion.specific_force_mps2[0])
+    assert body_from_sensor.apply(reading[3:]) == pytest.approx(motion.rate_radps[0])
 
 
 bounded = st.floats(-1.0, 1.0)

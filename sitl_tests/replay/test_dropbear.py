@@ -56,9 +56,9 @@ def test_gauges_and_accelerometer_agree_on_the_lag_above_the_judged_band() -> No
         band = (frequency > 150.0) & (frequency < 260.0)
         tip, strain = (np.fft.rfft(x - x.mean())[band] for x in (trial.acceleration_mps2, trial.strain_v.mean(axis=1)))
         cross = np.conj(tip) * -strain
-        for part in np.array_split(np.arange(len(cross)), 3):
-            total = cross[part].sum()
-            mean_hz = np.sum(frequency[band][part] * np.abs(cross[part])) / np.sum(np.abs(cross[part]))
+        for third in np.array_split(np.arange(len(cross)), 3):
+            total = cross[third].sum()
+            mean_hz = np.sum(frequency[band][third] * np.abs(cross[third])) / np.sum(np.abs(cross[third]))
             assert np.angle(total) / (2 * np.pi * mean_hz) == pytest.approx(1.0e-4, abs=4e-5)
         first = np.degrees(np.angle(np.vdot(displacement_truth(trial), offline_displacement(trial))))
         assert abs(first) < 1.0  # and what that predicts in the judged band is what is there

@@ -115,9 +115,9 @@ def test_depth_agrees_within_the_yaw_that_is_left(
     camera_from_epipolar = (epipolar_frame(rig) @ rig.right.rest.camera_from_body.T).T
     off = calibration_error(rig, pairs, used, prior)
     gaps = []
-    for pair, mine, error in zip(pairs, used, verdict.error_rad, strict=True):
+    for pair, fitted, error in zip(pairs, used, verdict.error_rad, strict=True):
         wrong = camera_from_epipolar @ (error - off)
-        true = rays_of(rig, pair.matches, pair.total_rad, ~mine).right @ rig.right.rest.camera_from_body.T
+        true = rays_of(rig, pair.matches, pair.total_rad, ~fitted).right @ rig.right.rest.camera_from_body.T
         moved = true @ exp_rotation(wrong).T
         gaps.append(np.median(moved[:, 0] / moved[:, 2] - true[:, 0] / true[:, 2]))
     assert np.sqrt(np.mean(np.square(gaps[SETTLED:]))) <= 1.5 * np.sqrt(np.mean(bound[SETTLED:, YAW] ** 2))

@@ -115,12 +115,12 @@ def test_an_established_library_finds_the_same_modes_in_the_same_run(test: Vibra
     ema = pytest.importorskip("sdypy.EMA", reason="sdypy-EMA is not installed")
     ours = identify_runs([test.runs[run]], len(test.points))
     wanted = [_near(ours, frequency) for frequency in WELL_EXCITED_HZ[:3]]
-    one = test.runs[run]
-    spacing = one.frequency_hz[1] - one.frequency_hz[0]
-    frequency = np.arange(0.0, one.frequency_hz[-1] + spacing / 2, spacing)
-    response = np.zeros((len(one.points), len(frequency)), dtype=complex)
-    response[:, -len(one.frequency_hz) :] = one.response
-    band = {"lower": one.frequency_hz[0], "upper": frequency[-1]}
+    shaken_run = test.runs[run]
+    spacing = shaken_run.frequency_hz[1] - shaken_run.frequency_hz[0]
+    frequency = np.arange(0.0, shaken_run.frequency_hz[-1] + spacing / 2, spacing)
+    response = np.zeros((len(shaken_run.points), len(frequency)), dtype=complex)
+    response[:, -len(shaken_run.frequency_hz) :] = shaken_run.response
+    band = {"lower": shaken_run.frequency_hz[0], "upper": frequency[-1]}
     model = ema.Model(frf=response, freq=frequency, pol_order_high=60, **band)
     model.get_poles(show_progress=False)
     theirs = np.column_stack([model.pole_freq[-1], model.pole_xi[-1]])

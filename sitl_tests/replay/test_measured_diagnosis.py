@@ -18,14 +18,14 @@ DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] 
 
 
 def diagnose(tmp_path: Path, *arguments: str) -> dict[str, Any]:
-    found = tmp_path / "found.json"
+    json_path = tmp_path / "found.json"
     page = tmp_path / "page.html"
-    code = main(["diagnose", *arguments, "--json", str(found), "--html", str(page)])
-    assert code == (3 if json.loads(found.read_text())["verdict"] == "not-identifiable" else 0)
+    code = main(["diagnose", *arguments, "--json", str(json_path), "--html", str(page)])
+    assert code == (3 if json.loads(json_path.read_text())["verdict"] == "not-identifiable" else 0)
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!doctype html>")
     assert "http" not in text.replace("http-equiv", "")  # self-contained
-    plain: dict[str, Any] = json.loads(found.read_text(encoding="utf-8"))
+    plain: dict[str, Any] = json.loads(json_path.read_text(encoding="utf-8"))
     return plain
 
 
@@ -76,8 +76,8 @@ def test_a_beam_s_frequency_follows_the_roller_and_not_time(tmp_path: Path) -> N
     assert first["gain"]["share_of_square_gone"] > 0.9
     # the close pair of the decays
     assert second["name"] == "close-mode"
-    for one in plain["modes"]["in_the_last_decay"]:
-        assert sorted(one["frequency_hz"]) == pytest.approx([24.2, 26.3], abs=0.15)
+    for decay_modes in plain["modes"]["in_the_last_decay"]:
+        assert sorted(decay_modes["frequency_hz"]) == pytest.approx([24.2, 26.3], abs=0.15)
     # and what nobody has explained yet is said
     assert plain["verdict"] == "unexplained"
     assert "damping follows roller_position_v" in plain["residual"]["description"]

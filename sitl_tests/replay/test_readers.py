@@ -64,9 +64,9 @@ def test_an_onboard_log_holds_what_pymavlink_finds_in_it(tmp_path: Path) -> None
     log, theirs = DFReader.DFReader_binary(str(start)), []
     while message := log.recv_match(type="ACC"):
         theirs.append((message.I, message.SampleUS, message.AccX, message.AccY, message.AccZ))
-    mine = DataflashLog(start).take("ACC")
-    assert len(mine["I"]) == len(theirs) > 5000
-    columns = [mine[name].astype(float) for name in ("I", "SampleUS", "AccX", "AccY", "AccZ")]
+    accelerations = DataflashLog(start).take("ACC")
+    assert len(accelerations["I"]) == len(theirs) > 5000
+    columns = [accelerations[name].astype(float) for name in ("I", "SampleUS", "AccX", "AccY", "AccZ")]
     assert np.array_equal(np.column_stack(columns), np.array(theirs))
 
 

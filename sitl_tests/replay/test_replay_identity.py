@@ -85,8 +85,8 @@ def test_a_recording_replays_to_what_was_published_every_time(
     first, again = results
     assert first == again
     assert first["compared"] == sum(isinstance(record, OUTPUTS) for record in flown.records)
-    one, other = ((tmp_path / f"{number}.mcap").read_bytes() for number in range(2))
-    assert one == other
+    first_bytes, second_bytes = ((tmp_path / f"{number}.mcap").read_bytes() for number in range(2))
+    assert first_bytes == second_bytes
 
 
 def test_the_replayed_outputs_are_the_recorded_ones_field_by_field(
@@ -178,8 +178,8 @@ def test_a_truncated_recording_replays_up_to_the_cut_and_says_so(
     assert problems == ""
     assert any("truncated at" in notice and "everything before is here" in notice for notice in result["notices"])
     assert result["reproduced"] is True
-    whole = sum(isinstance(record, OUTPUTS) for record in flown.records)
-    assert 0.5 * whole < result["compared"] < whole
+    output_count = sum(isinstance(record, OUTPUTS) for record in flown.records)
+    assert 0.5 * output_count < result["compared"] < output_count
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -208,13 +208,13 @@ def test_a_cut_anywhere_replays_as_published_up_to_the_cut_or_is_refused_in_a_se
 def test_what_is_missing_behind_a_cut_chunk_is_told(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    segments = [part for part in McapRecording(flown.path)._segments if part.opcode == 6]
+    segments = [segment for segment in McapRecording(flown.path)._segments if segment.opcode == 6]
     data = flown.path.read_bytes()
     before, last = segments[2:4]
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: last.offset + last.length // 2])
     code, result, _ = replay(cut, capsys)
-    (ended_ns,), (end_ns,) = (struct.unpack_from("<Q", data, part.offset + 8) for part in (before, last))
+    (ended_ns,), (end_ns,) = (struct.unpack_from("<Q", data, segment.offset + 8) for segment in (before, last))
     assert code in (0, 3)
     assert result["reproduced"] is True
     assert result["loss"]["where"] == "cut"
@@ -225,7 +225,7 @@ def test_behind_a_damaged_chunk_nothing_is_compared(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = bytearray(flown.path.read_bytes())
-    segment = [part for part in McapRecording(flown.path)._segments if part.opcode == 6][2]
+    segment = [chunk for chunk in McapRecording(flown.path)._segments if chunk.opcode == 6][2]
     data[segment.offset + segment.length // 2] ^= 0xFF
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(bytes(data))
@@ -235,8 +235,8 @@ def test_behind_a_damaged_chunk_nothing_is_compared(
     assert result["reproduced"] is True
     assert result["loss"]["where"] == "damage"
     assert 0.5 < result["loss"]["missing_s"] < 2.0
-    whole = sum(isinstance(record, OUTPUTS) for record in flown.records)
-    assert 0.1 * whole < result["compared"] < 0.6 * whole
+    output_count = sum(isinstance(record, OUTPUTS) for record in flown.records)
+    assert 0.1 * output_count < result["compared"] < 0.6 * output_count
 
 
 def test_behind_dropped_records_nothing_is_compared(
@@ -284,7 +284,9 @@ def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: py
 
 def test_refusals_by_the_devices_are_inputs_and_our_own_are_made_again() -> None:
     """Plans that the trigger process could not fire are counted by the pipeline; only the recording knows of them."""
-    told = [Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)]
+    device_refusals = [
+        Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)
+    ]
     made = [Rejected(reason, "left samples", 8) for reason in (Reject.CLOCK_UNSYNCED, Reject.STALE, Reject.TOO_LATE)]
-    records: list[Record] = [*told, *made, Tick(9)]
-    assert list(own_inputs(records, load_airframe("nadir-2m"), Settings())) == [*told, Tick(9)]
+    records: list[Record] = [*device_refusals, *made, Tick(9)]
+    assert list(own_inputs(records, load_airframe("nadir-2m"), Settings())) == [*device_refusals, Tick(9)]

@@ -106,9 +106,9 @@ def _limited(usual: Floats, c: int, error: float, dt: float) -> float:
 
 def _turn(states: LineStates, i: int, psi: float, dt: float) -> None:
     """Move phase, frequency and its rate of a shaft by a phase error of its leader."""
-    part, limit = psi / PARTS, _MAX_ALPHA_RADPS2 / PARTS
-    states.phase_rad[i] += _K1 * part * dt
-    states.omega_radps[i] += _K2 * part * dt
-    states.alpha_radps2[i] = min(max(states.alpha_radps2[i] + _K3 * part * dt, -limit), limit)
+    unit_psi, limit = psi / PARTS, _MAX_ALPHA_RADPS2 / PARTS
+    states.phase_rad[i] += _K1 * unit_psi * dt
+    states.omega_radps[i] += _K2 * unit_psi * dt
+    states.alpha_radps2[i] = min(max(states.alpha_radps2[i] + _K3 * unit_psi * dt, -limit), limit)
     if np.abs(states.omega_radps[i] / states.anchor_radps[i] - 1.0) > _OMEGA_RATIO:
         states.omega_radps[i], states.alpha_radps2[i] = states.anchor_radps[i], 0.0
