@@ -64,6 +64,7 @@ _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
 _MODES_REACH = 1.7  # chosen, of the highest frequency: a further mode may lie so much higher than believed
 _CLEAR_EXCESS = 0.3  # chosen, of the expected power: a gust's tail is extrapolated no better
+_MISFIT = 2.0  # chosen: deviance over what chance leaves, 1.0 to 1.2 under gusts alone, tens beside a petrol engine
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
 _MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
@@ -115,7 +116,8 @@ class SpectralFit:
         self.ambiguous = False
         self.fits = 0
         self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
-        self._noise_ratios = [1.0, 1.0]  # of both families' last fits, below what the modes reach
+        self._noise_ratios = [1.0, 1.0]  # of both families' last fits
+        self._limited = [False, False]  # whether bins above what the modes reach count for nothing
 
     def stages(self, inputs: FitInput) -> Stages[WingParameters]:
         """Fit both families."""
@@ -141,7 +143,7 @@ class SpectralFit:
         noise_spectrum = louder(noise_ratio)
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([inputs.parameters[k].log_params() for k in which])
-        band, reach_hz = self._band(which), self._reach_hz(which)
+        band, reach_hz = self._band(which), self._reach_hz(which) if self._limited[which[0]] else np.inf
         length_s = len(samples) * self._step_s
         rate, rate_sigma = self._rates[which[0]]
         if inputs.elapsed_s > EARLY_S:
@@ -152,7 +154,8 @@ class SpectralFit:
         for k in which:
             self._rates[k] = rate, rate_sigma
         warped = time_warped(samples, rate, self._step_s)
-        long = make_periodogram(warped, self._step_s, band, noise_spectrum).below(reach_hz)
+        full = make_periodogram(warped, self._step_s, band, noise_spectrum)
+        long = full.below(reach_hz)
         start = to_warped_time(start, prior.places, rate, length_s)
         yield
         best = self._begin(inputs, long, prior, start)
@@ -166,7 +169,9 @@ class SpectralFit:
             long, best, noise_ratio = yield from _with_noise(louder, noise_ratio, leap, long, prior, best)
             for k in which:
                 self._noise_ratios[k] = noise_ratio
+                self._limited[k] = _misfit(full.with_noise(louder(noise_ratio)), prior, best.log_params) > _MISFIT
             noise_ratio += _noise_beyond(louder, long, prior, best.log_params)
+            yield
         else:
             noise_ratio = inputs.parameters[which[0]].noise_ratio
         best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
@@ -304,6 +309,13 @@ def _with_noise(
             periodogram, best, ratio = other_periodogram, other, tried
         yield
     return periodogram, best, ratio
+
+
+def _misfit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> float:
+    """Deviance per bin of a fit from ``start`` (p,) to all bins, over the half that chance leaves."""
+    fitted = fit(periodogram, prior, start, 2 * _MAX_SCORING_STEPS)
+    ratio = periodogram.power / expected_power(periodogram, prior, fitted.log_params)
+    return 2.0 * float(np.mean(periodogram.weight * (ratio - 1.0 - np.log(ratio))))
 
 
 def _noise_beyond(
