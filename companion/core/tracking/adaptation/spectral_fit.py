@@ -64,7 +64,7 @@ _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
 _MODES_REACH = 1.7  # chosen, of the highest frequency: a further mode may lie so much higher than believed
 _CLEAR_EXCESS = 0.3  # chosen, of the expected power: a gust's tail is extrapolated no better
-_MISFIT = 2.0  # chosen: deviance over what chance leaves, 1.0 to 1.2 under gusts alone, tens beside a petrol engine
+_MISFIT = 2.0  # chosen: deviance over what chance leaves, 0.8 to 1.2 under gusts alone, 2 to 18 beside a petrol engine
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
 _MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
@@ -165,13 +165,7 @@ class SpectralFit:
             yield
         has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
         if has_turn:
-            leap = _NOISE_LEAPS[(self.fits + 1) // 2 % len(_NOISE_LEAPS)]
-            long, best, noise_ratio = yield from _with_noise(louder, noise_ratio, leap, long, prior, best)
-            for k in which:
-                self._noise_ratios[k] = noise_ratio
-                self._limited[k] = _misfit(full.with_noise(louder(noise_ratio)), prior, best.log_params) > _MISFIT
-            noise_ratio += _noise_beyond(louder, long, prior, best.log_params)
-            yield
+            long, best, noise_ratio = yield from self._learned_noise(louder, which, full, long, prior, best)
         else:
             noise_ratio = inputs.parameters[which[0]].noise_ratio
         best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
@@ -190,6 +184,24 @@ class SpectralFit:
             self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow, noise_ratio)
             for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
         ]
+
+    def _learned_noise(
+        self,
+        louder: Callable[[float], NoiseSpectrum],
+        which: tuple[int, ...],
+        full: Periodogram,
+        fitted: Periodogram,
+        prior: LogNormalPrior,
+        best: WhittleFit,
+    ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
+        """Periodogram and fit with the noise that explains most, and the ratio of it that the filter takes."""
+        leap = _NOISE_LEAPS[(self.fits + 1) // 2 % len(_NOISE_LEAPS)]
+        fitted, best, ratio = yield from _with_noise(louder, self._noise_ratios[which[0]], leap, fitted, prior, best)
+        limited = _misfit(full.with_noise(louder(ratio)), prior, best.log_params) > _MISFIT
+        for k in which:
+            self._noise_ratios[k], self._limited[k] = ratio, limited
+        yield
+        return fitted, best, ratio + _noise_beyond(louder, fitted, prior, best.log_params)
 
     def _segments(
         self, samples: Floats, band: tuple[float, float, float], noise_spectrum: NoiseSpectrum, reach_hz: float
