@@ -16,6 +16,7 @@ from companion.core.tracking.adaptation.whittle import LogNormalPrior, fit
 from companion.core.tracking.parameters import FREQUENCY, parameter_index, parameter_limits, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.records import Floats
+from sitl_tests.unit.test_tracking_whittle import LOGS, _prior, _simulate
 from sitl_tests.unit.tracking_samples import plain_airframe
 
 STEP_S, LENGTH_S, SEGMENT_S = 0.004, 20.0, 4.0
@@ -86,3 +87,20 @@ def test_lines_that_beat_stay_where_they_are(seed: int, apart_hz: float) -> None
 def noise_density(frequency_hz: Floats) -> Floats:
     """Spectrum of a sensor with white noise."""
     return np.full(len(frequency_hz), 2.0 * STEP_S * SENSOR_MPS2**2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_engine_that_passes_for_a_further_mode_is_no_drift_of_the_wing(seed: int) -> None:
+    """A line of 6 m/s^2 beside the second mode runs up by 2 %/s; both modes stay where they are."""
+    engine_rate_per_s, engine_hz = 0.02, float(np.exp(LOGS[5]))
+    since_middle_s = TIME_S - 0.5 * LENGTH_S
+    phase = 2.0 * np.pi * engine_hz * np.expm1(engine_rate_per_s * since_middle_s) / engine_rate_per_s
+    samples, prior = _simulate(LENGTH_S, seed) + 6.0 * np.sin(phase), _prior()
+    log_params = fit(make_periodogram(samples, STEP_S, BAND_HZ, noise_density), prior, LOGS.copy(), 12).log_params
+    segments, rate = (
+        make_periodograms(samples.reshape(-1, round(SEGMENT_S / STEP_S)), STEP_S, BAND_HZ, noise_density),
+        0.0,
+    )
+    for _ in range(6):
+        rate, _ = estimate_drift_rate(segments, SEGMENT_S, prior, log_params, rate)
+    assert abs(rate) < 0.05 * engine_rate_per_s

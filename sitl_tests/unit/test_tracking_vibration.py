@@ -9,33 +9,40 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum, StaticBendResponse
-from companion.core.tracking.adaptation.periodogram import make_periodogram
-from companion.core.tracking.adaptation.spectral_fit import _NOISE_LEAPS, _with_noise
+from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
+from companion.core.tracking.adaptation.spectral_fit import _MISFIT, _NOISE_LEAPS, _misfit, _noise_beyond, _with_noise
 from companion.core.tracking.adaptation.whittle import WhittleFit, fit
 from companion.core.tracking.error_jacobians import error_columns
-from companion.core.tracking.parameters import CORNER_1, CORNER_2
+from companion.core.tracking.parameters import CORNER_1, CORNER_2, FREQUENCY
 from companion.core.tracking.rigid_body import BEFORE, _RootNoise, build_epochs
 from companion.core.tracking.states import Y_LEFT, make_layout
 from companion.core.tracking.streams import StreamSamples
+from companion.records import Floats
 from sitl_tests.unit.test_tracking_whittle import LOGS, STEP_S, _prior, _simulate
 from sitl_tests.unit.tracking_samples import plain_airframe
 
 BAND_HZ = (0.25, 11.0, 120.0)
 BELIEVED = NoiseSpectrum(0.008**2 * 2 * STEP_S, 0.0, StaticBendResponse(5.0, 0.04, 0.0), 0.0, 0.0, 0.0, STEP_S)
 SHAKEN_MPS2 = 0.03  # rms above 40 Hz
+BAND_WIDTH_HZ = 85.0  # from 40 Hz to half the sampling rate
+STRONG = 4000.0  # of the believed density, as a petrol engine shakes a quiet sensor
 
 
 def _louder(ratio: float) -> NoiseSpectrum:
     return BELIEVED.louder(ratio, ratio)
 
 
-def _learned(seed: int, shaken_mps2: float) -> tuple[WhittleFit, WhittleFit, float]:
-    """Fits of 20 s by the believed noise and by the learned one, and the learned ratio of density."""
+def _shaken(seed: int, shaken_mps2: float) -> Periodogram:
+    """20 s of a wing under a gust, with white vibration above 40 Hz."""
     sections = butter(4, 40.0, "highpass", fs=1.0 / STEP_S, output="sos")
     shaken = sosfilt(sections, np.random.default_rng(100 + seed).standard_normal(round(20.0 / STEP_S)))
-    samples = _simulate(20.0, seed) + shaken_mps2 * shaken / shaken.std()
-    periodogram, prior, ratio = make_periodogram(samples, STEP_S, BAND_HZ, BELIEVED), _prior(), 1.0
-    plain = best = fit(periodogram, prior, LOGS.copy(), 12)
+    return make_periodogram(_simulate(20.0, seed) + shaken_mps2 * shaken / shaken.std(), STEP_S, BAND_HZ, BELIEVED)
+
+
+def _learned(seed: int, shaken_mps2: float, start: Floats = LOGS) -> tuple[WhittleFit, WhittleFit, float]:
+    """Fits of 20 s by the believed noise and by the learned one, and the learned ratio of density."""
+    periodogram, prior, ratio = _shaken(seed, shaken_mps2), _prior(), 1.0
+    plain = best = fit(periodogram, prior, start.copy(), 12)
     for second in range(5):
         stages = _with_noise(_louder, ratio, _NOISE_LEAPS[second % 3], periodogram, prior, best)
         while True:
@@ -52,12 +59,34 @@ def test_vibration_is_learned_as_noise_and_leaves_the_gust_its_corners() -> None
     by_belief, by_learned = [], []
     for seed in range(6):
         plain, best, ratio = _learned(seed, SHAKEN_MPS2)
-        density = SHAKEN_MPS2**2 / 85.0
+        density = SHAKEN_MPS2**2 / BAND_WIDTH_HZ
         assert density / 3.0 < ratio * BELIEVED.white < 3.0 * density
         by_belief.append(plain.log_params - LOGS)
         by_learned.append(best.log_params - LOGS)
     for corner in (CORNER_1, CORNER_2):
         assert abs(np.mean(by_learned, axis=0)[corner]) < 0.5 * abs(np.mean(by_belief, axis=0)[corner])
+
+
+def test_strong_vibration_under_a_usual_gust_is_no_white_gust() -> None:
+    """By the believed noise the gust comes out white and the mode low; the misfit says so, and a leap mends it."""
+    white = LOGS.copy()
+    white[[CORNER_1, CORNER_2]] = np.log([500.0, 1000.0])
+    shaken_mps2 = math.sqrt(STRONG * BELIEVED.white * BAND_WIDTH_HZ)
+    for seed in range(6):
+        plain, best, ratio = _learned(seed, shaken_mps2, white)
+        assert plain.log_params[FREQUENCY] - LOGS[FREQUENCY] < -0.02
+        assert ratio == pytest.approx(STRONG, rel=0.25)
+        assert abs(best.log_params[FREQUENCY] - LOGS[FREQUENCY]) < 3.0 * best.log_sigma[FREQUENCY]
+        shaken, prior = _shaken(seed, shaken_mps2), _prior()
+        assert _misfit(shaken, prior, plain.log_params) > _MISFIT
+        assert _misfit(shaken.with_noise(_louder(ratio)), prior, best.log_params) < 1.2
+
+
+def test_what_bins_show_that_do_not_count_is_noise() -> None:
+    shaken = _shaken(0, math.sqrt(STRONG * BELIEVED.white * BAND_WIDTH_HZ)).below(50.0)
+    assert not shaken.weight[shaken.frequency_hz > 50.0].any()
+    assert _noise_beyond(_louder, shaken, _prior(), LOGS) == pytest.approx(STRONG, rel=0.1)
+    assert _noise_beyond(_louder, _shaken(0, 0.0).below(50.0), _prior(), LOGS) == 0.0
 
 
 def test_a_sensor_as_quiet_as_believed_is_taken_as_such() -> None:
