@@ -68,7 +68,7 @@ def test_vibration_is_learned_as_noise_and_leaves_the_gust_its_corners() -> None
 
 
 def test_strong_vibration_under_a_usual_gust_is_no_white_gust() -> None:
-    """By the believed noise the gust comes out white and the mode low; the misfit says so, and a leap mends it."""
+    """Fitted with the believed noise the gust comes out white and the mode low; the misfit says so, a leap mends it."""
     white = LOGS.copy()
     white[[CORNER_1, CORNER_2]] = np.log([500.0, 1000.0])
     shaken_mps2 = math.sqrt(STRONG * BELIEVED.white * BAND_WIDTH_HZ)
