@@ -30,12 +30,10 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-# chosen, relative sigma of a bend per g that is considered as well: manoeuvres measured it better than a flight's gusts
-# do, and where the load factor hardly changes, its noise would draw the estimate
+# chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
+# load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
-# First-order processes. So are the slope factors: a wing's bend is never that of its named modes alone: as constants
-# they came out 3 and 4 sigma off in quiet air.
-_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)
+_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # first-order processes, beside the slope factors
 
 
 class SeparatedBiasFilter:
@@ -75,6 +73,7 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
+        # as constants slope factors came out 3 to 4 sigma off: a wing's bend is never that of its named modes alone
         wandering = [layout.column(name) for name in (*_WANDERING, *self._slopes())]
         self._wandering = np.array([column for column in wandering if column is not None], np.int64)
         self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)

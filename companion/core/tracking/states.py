@@ -1,9 +1,9 @@
 """State vector, measurement rows and bias parameters of the filter, with units, P0, R and the row that each shows in.
 
 *States* move: modes, gust loads, rigid roll, drifting sensor biases. *Bias parameters* stay constant in a flight:
-scale, misalignment, stamp offset, slope factor, trim (the biases of the root's rates wander slowly, and what is known
-of them ages). The filter carries the states together with their exact sensitivity to every bias parameter (separated
-bias estimation; Friedland, IEEE TAC 14, 1969), so that a parameter costs one column instead of one state.
+scale, misalignment, stamp offset, trim (the biases of the root's rates and the slope factors wander slowly, and what is
+known of them ages). The filter carries the states together with their exact sensitivity to every bias parameter
+(separated bias estimation; Friedland, IEEE TAC 14, 1969), so that a parameter costs one column instead of one state.
 
 | state | unit | P0 | Q |
 |---|---|---|---|

@@ -139,8 +139,8 @@ class Adaptation:
     def begin_history(self) -> None:
         """Fit no more what was measured until now: a line or a blow was in it, whose power would pass for the gust's.
 
-        A line of 3 m/s^2 that ends in the middle of 20 s leaks more than the sensors' noise over 30 Hz to either side;
-        the gust's corners then come out wrong, and with them the slow bend.
+        A line of 3 m/s^2 that ends in the middle of 20 s leaks more than the sensors' noise over 30 Hz to either side.
+        A fit takes that for noise where it can, and else for the gust, whose corners set the slow bend.
         """
         self._history_from = self._count
 

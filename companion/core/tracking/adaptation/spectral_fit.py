@@ -62,9 +62,10 @@ _USUAL_CORNERS_HZ = (2.0, 8.0)  # chosen: of the gust beside which such noise is
 _NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
 _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
-_MODES_REACH = 1.7  # chosen, of the highest frequency: a further mode may lie so much higher than believed
+_MODES_REACH = 1.7  # chosen, of the highest believed frequency: a further mode may lie so much higher
 _CLEAR_EXCESS = 0.3  # chosen, of the expected power: a gust's tail is extrapolated no better
-_MISFIT = 2.0  # chosen: deviance over what chance leaves, 0.8 to 1.2 under gusts alone, 2 to 18 beside a petrol engine
+_MISFIT = 2.0  # chosen, deviance per bin: 0.8 to 1.2 under gusts alone, up to 18 beside a petrol engine
+_LEAST_RATIO = 1e-12  # numerical: a still sensor's power is 0
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
 _MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
@@ -116,7 +117,7 @@ class SpectralFit:
         self.ambiguous = False
         self.fits = 0
         self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
-        self._noise_ratios = [1.0, 1.0]  # of both families' last fits
+        self._noise_ratios = [1.0, 1.0]  # of both families, for the bins that count
         self._limited = [False, False]  # whether bins above what the modes reach count for nothing
 
     def stages(self, inputs: FitInput) -> Stages[WingParameters]:
@@ -261,7 +262,7 @@ class SpectralFit:
         return _MIN_FREQUENCY_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
 
     def _reach_hz(self, which: tuple[int, ...]) -> float:
-        """Frequency above which nothing but noise is expected; of propulsion, which is not white, and is not fitted."""
+        """Frequency above which no mode is believed, only noise and propulsion's bands, for which there is no model."""
         highest = max(mode.frequency_hz for k in which for mode in self._prior[k].modes)
         return max(_MODES_REACH * highest, 2.0 * VIBRATION_HZ)
 
@@ -324,9 +325,9 @@ def _with_noise(
 
 
 def _misfit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> float:
-    """Deviance per bin of a fit from ``start`` (p,) to all bins, over the half that chance leaves."""
+    """Deviance per bin of a fit from ``start`` (p,) to all bins; about 1 by chance."""
     fitted = fit(periodogram, prior, start, 2 * _MAX_SCORING_STEPS)
-    ratio = periodogram.power / expected_power(periodogram, prior, fitted.log_params)
+    ratio = np.maximum(periodogram.power / expected_power(periodogram, prior, fitted.log_params), _LEAST_RATIO)
     return 2.0 * float(np.mean(periodogram.weight * (ratio - 1.0 - np.log(ratio))))
 
 
