@@ -115,4 +115,5 @@ def rangefinder_log(folder: Path) -> list[tuple[float, float, int]]:
         log = mavutil.mavlink_connection(str(path))
         while (entry := log.recv_match(type=["RFND"])) is not None:
             entries.append((entry.TimeUS * 1e-6, float(entry.Dist), int(entry.Stat)))
+        log.close()
     return entries

@@ -64,6 +64,7 @@ def test_pymavlink_reads_every_frame_of_the_log_at_its_receive_time(flown: Path,
     while (message := connection.recv_msg()) is not None:
         assert message.get_type() != "BAD_DATA"
         stamps.append(message._timestamp)
+    connection.close()
     parser = mavutil.mavlink.MAVLink(None)
     parser.robust_parsing = True
     link_bytes = b"".join(chunk.data for chunk in chunks if chunk.link < 128)
