@@ -96,10 +96,11 @@ def estimate_drift_rate(
         return 0.0, 0.0
     first = np.zeros(len(log_params))
     first[prior.places.first] = 1.0
-    rates = [
-        _stepped(segments, spacing_s, prior, log_params, rate_per_s, of) for of in (first, frequency_mask(prior.places))
-    ]
-    return min(rates, key=lambda rate_and_sigma: abs(rate_and_sigma[0]))
+    alone = _stepped(segments, spacing_s, prior, log_params, rate_per_s, first)
+    if not len(prior.places.further):
+        return alone
+    together = _stepped(segments, spacing_s, prior, log_params, rate_per_s, frequency_mask(prior.places))
+    return alone if abs(alone[0]) <= abs(together[0]) else together
 
 
 def _stepped(

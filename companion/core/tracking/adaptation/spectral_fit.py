@@ -56,9 +56,8 @@ _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen
 _MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
 _NOISE_STEPS = (8.0, 2.0, 0.5)  # chosen, of density: noise many times the belief shows where twice it does not
 # chosen, in turns, of the density in the upper half of the band: between a quiet sensor under a white gust and a shaken
-# sensor under a usual one nothing fits, so that steps do not lead from one to the other
+# sensor under a slow one nothing fits, so that steps do not lead from one to the other
 _NOISE_LEAPS = (1.0, 0.25, 4.0)
-_USUAL_CORNERS_HZ = (2.0, 8.0)  # chosen: of the gust beside which such noise is tried
 _NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
 _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
@@ -309,8 +308,8 @@ def _with_noise(
     used = periodogram.weight > 0.0
     upper = used & (periodogram.frequency_hz > 0.5 * periodogram.frequency_hz[used][-1])
     alone = 1.0 + _noise_ratio(louder, periodogram, upper, louder(1.0)(periodogram.frequency_hz))
-    leapt = _with_corners(best.log_params, prior.places, _USUAL_CORNERS_HZ)
-    trials = [(leap * alone, leapt, 2 * _MAX_SCORING_STEPS)]
+    slow = _with_corners(best.log_params, prior.places, _CORNERS_HZ[0])
+    trials = [(leap * alone, slow, 2 * _MAX_SCORING_STEPS)]
     trials += [(factor * ratio, best.log_params, 3) for factor in _NOISE_STEPS]
     for tried, start, steps in trials:
         if tried < 1.0:
