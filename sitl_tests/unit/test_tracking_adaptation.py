@@ -192,3 +192,4 @@ def test_a_line_that_was_in_the_samples_until_now_does_not_pass_for_the_gust() -
     # ten seconds have seven bins in the octave at 1 Hz, which tell its density to 40 %
     for disturbed in (begun, leaked):
         np.testing.assert_allclose(np.log(_load_density(disturbed, slow_hz) / expected), 0.0, atol=math.log(2.0))
+    assert leaked.parameters[0].noise_ratio > 4.0 * begun.parameters[0].noise_ratio, "what leaks passes for noise"
