@@ -24,6 +24,8 @@ _CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ra
 _AGREEING_TO_TRUST = 3  # three in a row: one wrong range never has two accomplices by chance (choice)
 _FORGET_NS = 2_000_000_000  # older ranges say nothing of a surface at flight speed (choice)
 _FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one (choice)
+_CONFIRMED_SIGMAS = 2.0  # for the first one by a toe learnt anew: of honest ones 95 % pass at once (choice)
+_AGREEING_ANEW = 2  # otherwise: what one pair's matches tell of the toe, another's must confirm (choice)
 _APART_TO_DOUBT = 2  # one may be a wrong match, two are not (choice)
 _SURFACE_NS = 5_000_000_000  # a knock seldom stays hidden so long where matches are looked at (choice)
 _OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million (derived)
@@ -104,8 +106,9 @@ class RangeGate:
     downward-looking aircraft climbs), and ``_AGREEING_TO_TRUST`` must agree among themselves. One that goes on from a
     trusted one just before is trusted at once. Ranges that have left the last trusted one are not trusted for agreeing
     with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be learnt anew.
-    Once it is (:meth:`reopened`), their sigma is what matches alone have told since, and those that agree under it are
-    a new surface. Where nothing looks at matches, a surface must stay for ``_SURFACE_NS``.
+    Once it is (:meth:`reopened`), their sigma is what matches alone have told since: the first must lie close to the
+    last trusted one or be confirmed by the next, and those that agree under it are a new surface. Where nothing looks
+    at matches, a surface must stay for ``_SURFACE_NS``.
 
     That is for a view of one lasting surface, the ground. A pair that looks ahead sees another obstacle every few
     seconds (``lasting_surface`` false): there a jump is no evidence against the toe, and several that agree are enough.
@@ -164,6 +167,8 @@ class RangeGate:
             return several
         if moving.agree(self._trusted, level) and not self._stays_apart(level, moving):
             self._departed, self._apart = None, 0
+            if self._reopened:
+                return self._agreeing >= _AGREEING_ANEW or moving.confirms(self._trusted, level)
             return several or level.t_ns - self._trusted.t_ns < _FRESH_NS
         if self._departed is None or self._agreeing == 1:
             self._departed = level
@@ -203,10 +208,18 @@ class _Moving:
         """Whether both may be of one surface, seen by cameras that stay as they are."""
         if before is None or after.t_ns <= before.t_ns:
             return False
-        shared_m2 = min(before.lasting_m, after.lasting_m) ** 2
-        sigma_m = math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0))
-        allowed_m = _CONSISTENT_SIGMAS * sigma_m + self.slack_mps * 1e-9 * (after.t_ns - before.t_ns)
-        return self.between_m(before, after) <= allowed_m
+        slack_m = self.slack_mps * 1e-9 * (after.t_ns - before.t_ns)
+        return self.between_m(before, after) <= _CONSISTENT_SIGMAS * _parting_sigma_m(before, after) + slack_m
+
+    def confirms(self, before: _RangeAt, after: _RangeAt) -> bool:
+        """Whether the earlier one predicts the later one closely, without slack."""
+        return self.between_m(before, after) <= _CONFIRMED_SIGMAS * _parting_sigma_m(before, after)
+
+
+def _parting_sigma_m(before: _RangeAt, after: _RangeAt) -> float:
+    """Sigma of the difference of two ranges, less the part that they share, m."""
+    shared_m2 = min(before.lasting_m, after.lasting_m) ** 2
+    return math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0))
 
 
 # ------------------------------------------------------------------------------------ one range, one obstacle

@@ -138,6 +138,7 @@ class Correction:
         if self.gate.jumped and self.settings.hold_slow:
             self._reopen()
         if self.drift_filter.verdict is MatchVerdict.KNOCKED:
+            self.gate.reopened()
             yield Notice(Severity.WARNING, _KNOCKED, now_host_ns)
         yield from self._worn_lenses(now_host_ns)
         if answer.sectors is not None and reason is None:

@@ -88,10 +88,14 @@ def quarter_turns(turn: Floats) -> Floats:
 
 def residual_field(x: Floats, y: Floats) -> Floats:
     """Error of the slopes (n, 2) per unit of each term, (n, 2, 6); slopes ``x``, ``y`` are (n,)."""
-    r2, none = x * x + y * y, np.zeros_like(x)
-    along = [x, x * r2, x * x, x * y, r2, none]
-    across = [y, y * r2, x * y, y * y, none, r2]
-    return np.stack([np.stack(along, axis=-1), np.stack(across, axis=-1)], axis=1)
+    r2 = x * x + y * y
+    field: Floats = np.zeros((len(x), 2, 6))
+    field[:, 0, 0], field[:, 1, 0] = x, y
+    field[:, 0, 1], field[:, 1, 1] = x * r2, y * r2
+    field[:, 0, 2], field[:, 1, 3] = x * x, y * y
+    field[:, 0, 3] = field[:, 1, 2] = x * y
+    field[:, 0, 4] = field[:, 1, 5] = r2
+    return field
 
 
 def left_fields(rays: Floats, quarter: Floats) -> Floats:

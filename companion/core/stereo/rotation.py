@@ -10,6 +10,8 @@ import numpy as np
 
 from companion.records import Floats
 
+_LEAST_ANGLE_RAD = 1e-150  # sin(t)/t is 1 to the last digit below 1e-8, and its square is still a number (derived)
+
 
 def skew(vector: Floats) -> Floats:
     """Antisymmetric matrix with ``skew(a) @ b == cross(a, b)`` (seed paper, eq. 5).
@@ -49,7 +51,8 @@ def exp_rotation(vector_rad: Floats) -> Floats:
     """
     v = np.asarray(vector_rad, dtype=np.float64)
     t = np.sqrt(np.sum(v * v, axis=-1))[..., np.newaxis, np.newaxis]
-    first, second = np.sinc(t / np.pi), 0.5 * np.sinc(t / (2.0 * np.pi)) ** 2  # numpy's sinc(x) is sin(pi x)/(pi x)
+    t = np.maximum(t, _LEAST_ANGLE_RAD)
+    first, second = np.sin(t) / t, 2.0 * (np.sin(0.5 * t) / t) ** 2
     outer = v[..., :, np.newaxis] * v[..., np.newaxis, :]
     rotation: Floats = np.cos(t) * np.eye(3) + first * skew(v) + second * outer  # K^2 = v v^T - t^2 I
     return rotation

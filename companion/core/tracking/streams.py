@@ -325,7 +325,8 @@ class SampleBuffer:
             self._clean = np.concatenate((self._clean, more))
         tail = max(final, done)
         rest = remove_lines(t_ns, values, tail, period_s, copied(lines))
-        held = np.isin(self._clean_ns, t_ns[:tail])
+        at = np.searchsorted(t_ns[:tail], self._clean_ns)
+        held = np.append(t_ns[:tail], -1)[at] == self._clean_ns  # both are in order, and -1 is the stamp of none
         return np.concatenate((self._clean_ns[held], t_ns[tail:])), np.concatenate((self._clean[held], rest))
 
 
