@@ -28,7 +28,8 @@ class StreamRateMonitor:
     """Watches the stamps. An autopilot grants what it can, falls back, and sends more after a change.
 
     The tracker takes the believed rate for how long a gap may be and how much noise a cell has. What is lost on the
-    way changes neither: it is the typical spacing that tells, and two windows of 2 s must agree on it.
+    way changes neither: it is the typical spacing that tells, and two windows of 2 s must agree on it. Stamps in bursts
+    or steps have another spacing at the airframe's own rate: where the mean rate is right, nothing has changed.
     """
 
     _windows: dict[Station, _Window] = field(default_factory=dict)
@@ -51,5 +52,11 @@ class StreamRateMonitor:
             middle = len(steps_ns) // 2  # of an even number the upper one: between two alike there is nothing
             window.spacing_hz = hz = 1e9 / max(float(np.partition(steps_ns, middle)[middle]), 1.0)
             settled = abs(hz - before_hz) < _ALIKE * hz
-            if settled and hz > _SLOWEST_HZ and not _LEAST <= hz / airframe.sensor(station).rate_hz <= _MOST:
-                yield station, (len(t_ns) - 1) * 1e9 / float(t_ns[-1] - t_ns[0])
+            mean_hz = (len(t_ns) - 1) * 1e9 / float(t_ns[-1] - t_ns[0])
+            if settled and hz > _SLOWEST_HZ and all(_departs(rate, airframe, station) for rate in (hz, mean_hz)):
+                yield station, mean_hz
+
+
+def _departs(rate_hz: float, airframe: Airframe, station: Station) -> bool:
+    """Whether a rate is far from the airframe's."""
+    return not _LEAST <= rate_hz / airframe.sensor(station).rate_hz <= _MOST

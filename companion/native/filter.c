@@ -14,6 +14,10 @@
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
 
+/* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
+ * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
+enum { SLOPES = 0, SLOPE_RATES = 2, ROLL_RATE = 4, ROLL_ACCELERATION, MODES, EACH_RANK = 6, MAX_RANKS = 8 };
+
 typedef struct {
     double step_s, trim_m, bend_per_g_m, root_z_variance, root_y_variance;
     int64_t trim_column, bend_column;
@@ -21,7 +25,8 @@ typedef struct {
         *bias_projection;
     int64_t common_bias_column;
     const array *slope_factor_rows, *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources,
-        *regressor_signs;
+        *regressor_signs, *lever_m, *shortening_pm;
+    int64_t shortening_column;
 } constants_record;
 
 typedef struct {
@@ -30,23 +35,34 @@ typedef struct {
     const array *H, *Q, *cross_cov, *process_noise_in_rows, *linearisation_rows;
     double aliasing_variance;
     int64_t moments_beside_gyro;
+    const array *lift_acceleration_variance;
 } model_record;
 
 typedef struct {
     const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums;
 } state_record;
 
+/* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: itself, the part by its way inboard, its
+ * derivatives by roll rate and acceleration and by each rank's lift, lift rate and lift acceleration, its variance by
+ * accelerations of higher modes that are not expected. Of the slope row: what a unit of the force adds, what a linear
+ * form of the above leaves of that, and what tilt and force together read. */
+typedef struct {
+    double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
+        force, rest, inboard, gain, lean, variance;
+} moving_tip;
+
 /* Everything of a run as plain pointers, and scratch arrays of one step. `used` are the numbers of the used rows,
  * `position` each row's place among them (-1: absent); the scratch matrices hold the used rows. */
 typedef struct {
     const constants_record *constants;
-    const double *sensor_variance, *bias_projection, *regressor_signs;
+    const double *sensor_variance, *bias_projection, *regressor_signs, *lever_m, *shortening_pm;
     const int64_t *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state, *slope_factor_rows,
         *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources;
     int64_t slope_factors, regressors;
 
     const model_record *model;
-    const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *linearisation_rows;
+    const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *linearisation_rows,
+        *lift_acceleration_variance;
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
 
@@ -57,6 +73,8 @@ typedef struct {
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
     history h;
 
+    int64_t ranks;
+    moving_tip tip[2];
     int64_t count, used[ROWS], position[ROWS];
     double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
     double *state, *linearised, *H, *HP, *next_state, *next_covariance, *factor; /* the last: entries of a row */
@@ -109,6 +127,82 @@ static void select_rows(run *f, const uint8_t *present)
     }
 }
 
+/* Mean lift rate over step k of each rank, from that at its start and the measured acceleration of all together: of
+ * higher ranks the expected part, of the first the rest. Returns the first rank's mean acceleration. */
+static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
+{
+    const double *start = f->linearised + MODES + side + 2, *expected = start + 2;
+    double slope = f->linearised[SLOPES + side], step_s = f->constants->step_s;
+    double tilted = (0.5 * f->vertical_mps2[2 * k + side] * slope + f->lateral_mps2[2 * k + side]) * slope;
+    double first = f->lever_m[side] * f->linearised[ROLL_ACCELERATION] - f->rows[k * ROWS + Z_LEFT + side] - tilted;
+    for (int64_t b = 1; b < f->ranks; b++) {
+        first -= expected[b * EACH_RANK];
+        rates[b] = start[b * EACH_RANK] + 0.5 * step_s * expected[b * EACH_RANK];
+    }
+    if (f->position[Z_LEFT + side] < 0)
+        first = expected[0];
+    rates[0] = start[0] + step_s * (0.5 * first + f->rows[k * ROWS + M_LEFT + side]);
+    return first;
+}
+
+/* Motion of a tip in the turning body: Coriolis' and Euler's force by its lift w, and that of the bent wing's tip, which
+ * moves inboard by half of K w^2. */
+static moving_tip find_moving_tip(const run *f, int64_t k, int side)
+{
+    const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
+    const double *K = f->shortening_pm + side * f->ranks * f->ranks;
+    double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION], rates[MAX_RANKS], linear = 0.0;
+    double first = find_lift_rates(f, k, side, rates);
+    double inside = -f->constants->step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
+    moving_tip tip = {.force = 0.0};
+    for (int64_t a = 0; a < f->ranks; a++) {
+        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, by_moment = K[a * f->ranks] * inside;
+        for (int64_t b = 0; b < f->ranks; b++) {
+            double shortening = K[a * f->ranks + b];
+            by_lift += shortening * (b ? expected[b * EACH_RANK] : first);
+            by_rate += shortening * rates[b];
+            tip.per_acceleration[b] -= b ? (shortening - K[a * f->ranks]) * lift : 0.0;
+        }
+        tip.per_lift[a] = p_dot - by_lift;
+        tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
+        tip.per_roll_rate += 2.0 * rates[a];
+        tip.per_roll_acceleration += lift;
+        tip.inboard -= by_lift * lift + (by_rate + by_moment) * rates[a];
+        tip.force += p_dot * lift + 2.0 * p * rates[a];
+        linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
+    }
+    linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
+    for (int64_t b = 1; b < f->ranks; b++) {
+        linear += tip.per_acceleration[b] * expected[b * EACH_RANK];
+        tip.variance += squared(tip.per_acceleration[b]) * f->lift_acceleration_variance[b];
+    }
+    tip.force += tip.inboard;
+    /* the row is the arc tangent of all lateral force over the vertical one */
+    double read = f->rows[k * ROWS + Y_LEFT + side], gain = f->lateral_gain[2 * k + side];
+    double lean = tan(read) - gain * tip.force;
+    tip.gain = gain / (1.0 + squared(lean));
+    tip.lean = f->linearised[SLOPES + side] + gain * tip.force;
+    tip.rest = atan(lean) - read + tip.gain * linear;
+    return tip;
+}
+
+/* Add a moving tip's lateral force, divided by the vertical one, to a slope row (n + 1,). */
+static void add_moving_tip(const run *f, int side, double *out)
+{
+    const moving_tip *tip = &f->tip[side];
+    const double *rows = f->linearisation_rows, gain = tip->gain;
+    int64_t n = f->h.n + 1;
+    add_scaled(out, rows + ROLL_RATE * n, gain * tip->per_roll_rate, n);
+    add_scaled(out, rows + ROLL_ACCELERATION * n, gain * tip->per_roll_acceleration, n);
+    for (int64_t a = 0; a < f->ranks; a++) {
+        const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
+        add_scaled(out, lift, gain * tip->per_lift[a], n);
+        add_scaled(out, lift + 2 * n, gain * tip->per_rate[a], n);
+        if (a)
+            add_scaled(out, lift + 4 * n, gain * tip->per_acceleration[a], n);
+    }
+}
+
 /* H of the used rows, with the tip's tilt linearised at the predicted state: through the tilt gravity shows slow
  * bending. */
 static void linearise_rows(run *f, int64_t k)
@@ -123,12 +217,15 @@ static void linearise_rows(run *f, int64_t k)
             add_scaled(f->H + r * n, f->linearisation_rows + side * n,
                        -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side]), n);
         r = f->position[Y_LEFT + side];
-        if (r >= 0 && bias >= 0)
-            f->H[r * n + bias] = f->lateral_gain[2 * k + side];
+        if (r >= 0) {
+            if (bias >= 0)
+                f->H[r * n + bias] = f->lateral_gain[2 * k + side];
+            add_moving_tip(f, side, f->H + r * n);
+        }
         if (r >= 0 && f->constants->common_bias_column) /* the slope seen is lateral over vertical force */
             for (int tip = 0; tip < 2; tip++)
                 f->H[r * n + f->vertical_bias_state[tip]] -=
-                    f->linearised[side] / vertical * f->bias_projection[2 * side + tip];
+                    f->tip[side].lean / vertical * f->bias_projection[2 * side + tip];
     }
 }
 
@@ -183,7 +280,7 @@ static void find_innovation(run *f, int64_t k, double *out)
             out[r * width + j] = -sensitivity[j - 1];
     }
     for (int side = 0; side < 2; side++) {
-        double slope = f->linearised[side], rate = f->linearised[2 + side], vertical = f->vertical_mps2[2 * k + side];
+        double slope = f->linearised[side], rate = f->linearised[SLOPE_RATES + side], vertical = f->vertical_mps2[2 * k + side];
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
             out[r * width] -= 0.5 * vertical * slope * slope;
@@ -193,14 +290,17 @@ static void find_innovation(run *f, int64_t k, double *out)
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
+            out[r * width] += f->tip[side].rest;
+            if (f->constants->shortening_column)
+                out[r * width + f->constants->shortening_column] -= f->tip[side].gain * f->tip[side].inboard;
             if (f->constants->common_bias_column)
-                out[r * width + f->constants->common_bias_column] += slope / vertical;
+                out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
         }
     }
     for (int64_t j = 0; j < f->slope_factors; j++) {
         int64_t r = f->position[f->slope_factor_rows[j]];
         if (r >= 0)
-            out[r * width + f->slope_factor_columns[j]] = f->linearised[4 + j];
+            out[r * width + f->slope_factor_columns[j]] = f->linearised[MODES + EACH_RANK * f->ranks + j];
     }
     for (int64_t r = 0; r < f->count; r++) {
         int64_t count = find_entries(f, f->H + r * n, -1.0, n);
@@ -232,6 +332,8 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
                          dot(f->HP + r * n, f->H + q * (n + 1), n);
         bool lateral = Y_LEFT <= row && row < P_LEFT;
         f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
+        if (lateral)
+            f->S[r][r] += noise_inflation * f->tip[row - Y_LEFT].variance * squared(gain[row - Y_LEFT]);
         if (row < M_LEFT)
             f->S[r][r] += noise_inflation * f->model->aliasing_variance * f->aliasing_noise[2 * k + row];
         if (row == P_ROOT)
@@ -425,6 +527,8 @@ static bool step(run *f, int64_t k, int64_t slot)
     linearise_state(f);
     select_rows(f, f->present + k * ROWS);
     f->h.row_count[slot] = f->count;
+    for (int side = 0; side < 2; side++)
+        f->tip[side] = find_moving_tip(f, k, side);
     linearise_rows(f, k);
     find_innovation(f, k, innovation);
     project_covariance(f);
@@ -470,9 +574,14 @@ static bool read_constants(const constants_record *record, run *f)
     f->regressor_columns = integers(record->regressor_columns, 1, &good);
     f->regressor_sources = integers(record->regressor_sources, 1, &good);
     f->regressor_signs = reals(record->regressor_signs, 1, &good);
+    f->lever_m = reals(record->lever_m, 1, &good);
+    f->shortening_pm = reals(record->shortening_pm, 3, &good);
+    f->ranks = extent(record->shortening_pm, 1);
     f->slope_factors = extent(record->slope_factor_rows, 0);
     f->regressors = extent(record->regressor_rows, 0);
-    return good && extent(record->sensor_variance, 0) == ROWS && extent(record->bias_projection, 0) == 2;
+    return good && extent(record->sensor_variance, 0) == ROWS && extent(record->bias_projection, 0) == 2 &&
+           extent(record->lever_m, 0) == 2 && has_shape(record->shortening_pm, 2, f->ranks, f->ranks) &&
+           0 < f->ranks && f->ranks <= MAX_RANKS;
 }
 
 static bool read_model(const model_record *record, run *f)
@@ -489,13 +598,14 @@ static bool read_model(const model_record *record, run *f)
     f->cross_cov = reals(record->cross_cov, 2, &good);
     f->process_noise = reals(record->process_noise_in_rows, 2, &good);
     f->linearisation_rows = reals(record->linearisation_rows, 2, &good);
+    f->lift_acceleration_variance = reals(record->lift_acceleration_variance, 1, &good);
     f->entries = extent(record->value, 0);
     f->linearised_rows = extent(record->linearisation_rows, 0);
     return good && extent(record->static_input, 0) == n && has_shape(record->H, ROWS, n + 1, -1) &&
            has_shape(record->Q, n, n, -1) && has_shape(record->cross_cov, ROWS, n, -1) &&
            has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
-           extent(record->linearisation_rows, 1) == n + 1 && f->linearised_rows == 4 + f->slope_factors &&
-           record->transition_index < f->h.transitions;
+           extent(record->linearisation_rows, 1) == n + 1 && f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&
+           extent(record->lift_acceleration_variance, 0) == f->ranks && record->transition_index < f->h.transitions;
 }
 
 static bool read_epochs(const epochs_record *record, int64_t last, run *f)

@@ -58,7 +58,8 @@ class Wing:
     ``second_*`` are the next bending modes, ``further_*`` those above, the lowest first. A second mode that is left out
     is tracked with a cantilever's wide prior, or is taken not to exist where ``assume_second`` is false.
     ``trim_bend_m`` is the symmetric tip deflection in level flight at 1 g relative to the wing as calibrated on the
-    ground; ``bend_per_g_m`` what each further g adds.
+    ground; ``bend_per_g_m`` what each further g adds. ``shortening`` is how far a bent wing's tip moves inboard, over
+    what that of a uniform cantilever does.
     """
 
     semispan_m: float
@@ -72,6 +73,7 @@ class Wing:
     further_symmetric: tuple[Mode, ...] = ()
     further_antisymmetric: tuple[Mode, ...] = ()
     assume_second: bool = True
+    shortening: Uncertain = Uncertain(1.0, 0.1)
 
     def family(self, parity: int) -> dict[str, Mode]:
         """Modes of the symmetric (parity 0) or antisymmetric (1) family by name, the lowest first.

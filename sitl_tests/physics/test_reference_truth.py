@@ -198,7 +198,7 @@ CASES = {
 def test_the_reference_is_as_good_as_it_says(truth) -> None:
     """Truth and reference were written from different equations; only if both are right is the error its sigma."""
     run = simulate(truth, tuple(range(12)))
-    oracle = Oracle(truth, samples(run))
+    oracle = Oracle(truth, samples(run, moving=False))
     t = np.arange(2.0, 19.0, 0.5)
     q = run.total_at(t)[:, :2].swapaxes(1, 2)
     for estimate in (oracle.causal(t), oracle.smoothed(t, 0.5)):
@@ -223,7 +223,7 @@ def test_the_reference_that_knows_the_priors_is_as_good_as_it_says(motion) -> No
         bend_per_g_sigma_m=0.0004,
     )
     run = simulate(truth, tuple(range(40, 56)))
-    estimate = Oracle(truth, samples(run)).smoothed(np.array([8.0, 12.0]), 0.5)
+    estimate = Oracle(truth, samples(run, moving=False)).smoothed(np.array([8.0, 12.0]), 0.5)
     q = run.total_at(np.array([8.0, 12.0]))[:, :2].swapaxes(1, 2)
     nees = (((estimate.q_m - q) / estimate.q_sigma_m) ** 2).mean(axis=(0, 1))
     # misalignment is constant: 16 independent values, standard error of the mean square 0.35; three of them

@@ -187,8 +187,8 @@ def test_the_mean_of_the_vertical_axis_is_the_change_of_tip_velocity(airframe: A
     values = station_readings(flight.truth, flight.model, Station.LEFT, sensor, times, 1_000_000)
     rate = flight.truth.series(np.array([999_500_000, 1_999_500_000])).lift_rate_mps[:, 0]
     tilt = flight.truth.series(times).slope_rad[:, 0]
-    # f_z = (-g - w'') cos(psi): so the sum of -(f_z/cos + g) dt is the gain of upward velocity
-    felt = -(values[:, 2] / np.cos(tilt) + G)
+    # turned back by the tilt the vertical force is -g - w'': the sum of -(f_z + g) dt is the gain of upward velocity
+    felt = -(np.cos(tilt) * values[:, 2] + np.sin(tilt) * values[:, 1] + G)
     assert felt.sum() * 1e-3 == pytest.approx(rate[1] - rate[0], abs=1e-9)
 
 

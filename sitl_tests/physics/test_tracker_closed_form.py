@@ -1,8 +1,9 @@
 """The tracker on motions in closed form, written out here without anything of ours: signs, rigid motion, phase, sigma.
 
 The wing moves as sums of sines; every sensor is sampled at 1 kHz from the formulas of the common physics: tip specific
-force ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, turned about body x by +slope on the left and by
--slope on the right.
+force ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, with a lateral ``2 p w' + p' w`` by the roll and
+``-+1.162 (w w'' + w'^2)`` by the bent wing's way inboard, turned about body x by +slope on the left and by -slope on
+the right.
 """
 
 from __future__ import annotations
@@ -70,12 +71,15 @@ def _streams(airframe: Airframe, motion: Motion, duration_s: float) -> dict[Stat
     for station, side in ((Station.LEFT, -1), (Station.RIGHT, 1)):
         r = np.array([0.0, float(side), 0.0])
         f = force + np.cross(turn, r) + np.cross(omega, np.cross(omega, r))
-        f[:, 2] -= as_ + side * aa + np.gradient(np.gradient(static, 1e-3), 1e-3)
-        slope = S * (qs + static + side * qa)
+        lift, rate = qs + static + side * qa, vs + np.gradient(static, 1e-3) + side * va
+        rise = as_ + side * aa + np.gradient(np.gradient(static, 1e-3), 1e-3)
+        f[:, 1] += 2 * omega[:, 0] * rate + turn[:, 0] * lift - side * 1.16194 * (lift * rise + rate**2)
+        f[:, 2] -= rise
+        slope = S * lift
         angle = -side * slope  # about +x
         c, s = np.cos(angle), np.sin(angle)
         rates = omega.copy()
-        rates[:, 0] += -side * S * (vs + side * va + np.gradient(static, 1e-3))
+        rates[:, 0] += -side * S * rate
         turned = [np.stack([v[:, 0], c * v[:, 1] + s * v[:, 2], c * v[:, 2] - s * v[:, 1]], axis=1) for v in (f, rates)]
         out[station] = np.hstack(turned)
     noisy = {}
@@ -116,7 +120,7 @@ def _fly(
 @pytest.fixture(scope="module")
 def flown() -> tuple[Airframe, Motion, WingTracker, list[ModeState]]:
     airframe, motion = _plain(_airframe()), Motion()
-    return airframe, motion, *_fly(airframe, _streams(airframe, motion, 8.0))
+    return airframe, motion, *_fly(airframe, _streams(airframe, motion, 12.0))
 
 
 def _truth(airframe: Airframe, motion: Motion, t_ns: int) -> tuple[np.ndarray, np.ndarray]:

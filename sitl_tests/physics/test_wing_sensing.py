@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from companion.core.wing.model import WingModel
 from companion.core.wing.sensing import ModalPath, RigidMotion, lever_arm_mps2, sense_station
+from companion.core.wing.shortening import shortening_pm
 from companion.params.airframe import Gust, Mode, Uncertain, Wing
 from companion.records import Side
 
@@ -95,8 +96,44 @@ def test_the_sensor_is_turned_by_the_whole_rotation_vector() -> None:
     reading = sense_station(MODEL, Side.RIGHT, np.zeros(3), motion, _path((0.2, 0.1)))[0]
     phi = np.array([-(1.4 * q[0] + 1.6 * q[1]), 0.5 * q[0] - 0.3 * q[1], 0.0])
     body_from_sensor = Rotation.from_rotvec(phi)
-    assert body_from_sensor.apply(reading[:3]) == pytest.approx(motion.specific_force_mps2[0])
-    assert body_from_sensor.apply(reading[3:]) == pytest.approx(motion.rate_radps[0])
+    omega, lifted = motion.rate_radps[0], np.array([0.0, 0.0, -q.sum()])  # at the root itself nothing moves inboard
+    force = motion.specific_force_mps2[0] + np.cross(omega, np.cross(omega, lifted))
+    assert body_from_sensor.apply(reading[:3]) == pytest.approx(force)
+    assert body_from_sensor.apply(reading[3:]) == pytest.approx(omega)
+
+
+@pytest.mark.parametrize(("side", "outward"), [(Side.LEFT, -1.0), (Side.RIGHT, 1.0)])
+def test_a_bending_tip_in_a_rolling_body_is_a_point_that_moves_through_space(side: Side, outward: float) -> None:
+    """Its path, roll and bending together, is differentiated numerically; the tip goes inboard by 1.162 w^2 / 2 L."""
+    place, h, p, p_dot = TIP[side], 1e-4, 1.1, 3.0
+    q, rate, accel = np.array([0.03, -0.01]), np.array([0.4, 0.25]), np.array([-35.0, 11.0])
+
+    def at(t_s: float) -> tuple[np.ndarray, Rotation]:
+        moved = q + rate * t_s + 0.5 * accel * t_s**2
+        up = moved[0] + outward * moved[1]
+        inboard = 0.5 * 1.16194 * up**2
+        roll = Rotation.from_rotvec([p * t_s + 0.5 * p_dot * t_s**2, 0.0, 0.0])
+        return roll.apply(place + np.array([0.0, -outward * inboard, -up])), roll
+
+    before, here, after = (at(t_s)[0] for t_s in (-h, 0.0, h))
+    acceleration = (before - 2.0 * here + after) / h**2
+    gravity = np.array([0.0, 0.0, G])
+    motion = _steady((0.0, 0.0, -G), (p, 0.0, 0.0), (p_dot, 0.0, 0.0))
+    reading = sense_station(MODEL, side, place, motion, ModalPath(q[None], rate[None], accel[None]))[0]
+    lean = outward * -(1.4 * q[0] + outward * 1.6 * q[1])
+    twist = 0.5 * q[0] - outward * 0.3 * q[1]
+    body_from_sensor = Rotation.from_rotvec([lean, twist, 0.0])
+    assert body_from_sensor.apply(reading[:3]) == pytest.approx(acceleration - gravity, abs=1e-4)
+
+
+def test_a_straight_wing_on_a_hinge_feels_nothing_along_the_span_but_the_pull_of_its_circle() -> None:
+    """A shape that is a straight line shortens by w^2 / 2 L; of bent ones Schwarz' inequality allows no less."""
+    for lever_m in (0.7, 2.5):
+        shortening = shortening_pm((0, 1, 2), lever_m)
+        assert np.all(np.diag(shortening) > 1.0 / lever_m)
+        assert np.all(np.linalg.eigvalsh(shortening) > 0.0)
+    assert shortening_pm((0,), 1.0)[0, 0] == pytest.approx(1.16194, rel=1e-5)
+    assert not shortening_pm((0, 1), 0.0).any()
 
 
 bounded = st.floats(-1.0, 1.0)

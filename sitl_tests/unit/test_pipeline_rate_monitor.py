@@ -46,6 +46,12 @@ def test_the_believed_rate_stays_under_loss_jitter_and_silence() -> None:
     assert settled_on(np.concatenate([t_s[:4000], np.arange(4.0, 5.0, 0.01), t_s[5000:]])) == [], "for a second only"
 
 
+def test_stamps_in_steps_or_bursts_are_no_other_rate() -> None:
+    t_s = np.arange(0.0, 12.0, 0.001)
+    assert settled_on(np.floor(t_s * 500.0) / 500.0) == [], "steps of 2 ms"
+    assert settled_on(np.floor(t_s * 200.0) / 200.0 + 5e-5 * (np.arange(len(t_s)) % 5)) == [], "bursts of five"
+
+
 def test_a_restarted_clock_is_no_other_rate() -> None:
     assert settled_on(np.concatenate([np.arange(90.0, 93.0, 0.001), np.arange(0.0, 7.0, 0.001)])) == []
 

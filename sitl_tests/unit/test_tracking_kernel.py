@@ -34,15 +34,25 @@ def _filter(airframe: Airframe = AIRFRAME) -> SeparatedBiasFilter:
     return SeparatedBiasFilter(layout, noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, STEPS)
 
 
-def _epochs(parameters: int, missing: float) -> Epochs:
-    """Rows as of a calm wing, a tenth of them far beyond the gate, a share missing, at every step others."""
-    rng = np.random.default_rng(7)
+def _flown(kalman: SeparatedBiasFilter) -> Floats:
+    """Rows (STEPS, ROWS) without noise that the filter's own model makes by chance."""
+    rng, model = np.random.default_rng(8), kalman._discrete_model
+    state, rows = np.linalg.cholesky(kalman.covariance) @ rng.standard_normal(len(model.Q)), []
+    for _ in range(STEPS):
+        rows.append(model.H[:, :-1] @ state)
+        state = model.transition @ state + rng.multivariate_normal(np.zeros(len(model.Q)), model.Q)
+    return np.array(rows)
+
+
+def _epochs(kalman: SeparatedBiasFilter, missing: float) -> Epochs:
+    """Rows of a flown wing, a tenth of them far beyond the gate, a share missing, at every step others."""
+    rng, parameters = np.random.default_rng(7), len(kalman.bias_parameters)
     size = np.array([0.1, 0.1, 0.01, 0.01, 0.001, 0.001, 0.003, 0.003, 0.003])
     size = size * np.where(rng.random((STEPS, ROWS)) < 0.1, 6.0, 1.0)
     present = rng.random((STEPS, ROWS)) >= missing
     return Epochs(
         start_ns=4_000_000 * np.arange(STEPS),
-        rows=np.where(present, size * rng.standard_normal((STEPS, ROWS)), 0.0),
+        rows=np.where(present, _flown(kalman) + size * rng.standard_normal((STEPS, ROWS)), 0.0),
         present=present,
         vertical_mps2=-9.8 + rng.standard_normal((STEPS, 2)),
         lateral_mps2=0.3 * rng.standard_normal((STEPS, 2)),
@@ -64,16 +74,19 @@ def _kernel_arguments(kalman: SeparatedBiasFilter) -> tuple[FilterConstants, Dis
 @pytest.mark.parametrize("missing", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("airframe", [AIRFRAME, EXACT_SCALES], ids=["uncertain scales", "exact scales"])
 def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, moments_beside_gyro: bool) -> None:
+    """Each step begins where the compiled one left: rounding does not grow along the run."""
     compiled, plain = _filter(airframe), _filter(airframe)
-    epochs = _epochs(len(compiled.bias_parameters), missing)
-    for kalman, kernel in ((compiled, kernel_loops), (plain, kernel_numpy)):
-        const, model, filter_state, history = _kernel_arguments(kalman)
-        assert kernel.filter_epochs(
-            const, model._replace(moments_beside_gyro=moments_beside_gyro), epochs, filter_state, history, 0, STEPS, 0
-        )
-    for name in FilterState._fields:
-        result, expected = getattr(compiled._filter_state, name), getattr(plain._filter_state, name)
-        np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-10 * np.abs(expected).max(), err_msg=name)
+    epochs = _epochs(compiled, missing)
+    for k in range(STEPS):
+        for before, after in zip(plain._filter_state, compiled._filter_state, strict=True):
+            before[...] = after
+        for kalman, kernel in ((compiled, kernel_loops), (plain, kernel_numpy)):
+            const, model, filter_state, history = _kernel_arguments(kalman)
+            model = model._replace(moments_beside_gyro=moments_beside_gyro)
+            assert kernel.filter_epochs(const, model, epochs, filter_state, history, k, k + 1, k)
+        for name in FilterState._fields:
+            result, expected = getattr(compiled._filter_state, name), getattr(plain._filter_state, name)
+            np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-10 * np.abs(expected).max(), err_msg=name)
     np.testing.assert_array_equal(compiled.history.row_count, plain.history.row_count)
     for at, row_count in enumerate(compiled.history.row_count):
         for name in ("whitened_H", "whitened_innovation", "whitened_cross_cov"):
@@ -88,8 +101,9 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     """The lateral axis shows the slope as ``arctan(y / z)``, with the bias in ``z``."""
     kalman = _filter(EXACT_SCALES)
     const, model, _, _ = _kernel_arguments(kalman)
-    epochs = _epochs(len(kalman.bias_parameters), 0.0)
-    state = 0.01 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
+    epochs = _epochs(kalman, 0.0)
+    epochs = epochs._replace(rows=np.zeros_like(epochs.rows))
+    state = 0.002 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
     measured, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), np.zeros((ROWS, kalman.layout.size + 1))
     kernel_numpy._linearise(const, model, epochs, 5, state, measured, H)
     left, right, root = 0.011, -0.007, 0.004  # biases
@@ -97,9 +111,10 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     weight = np.array([sensor.accel_bias_sigma_mps2**-2 for sensor in sensors])
     common = weight @ (left, right, root) / weight.sum()
     for side, bias in enumerate((left, right)):
-        slope, z = (model.linearisation_rows @ state)[side], epochs.vertical_mps2[5, side]
-        assert abs(slope) > 1e-3
-        tilted = np.arctan(z * np.tan(slope) / (z + bias)) - slope
+        lean = kernel_numpy._moving_tip(const, model, epochs, 5, side, state).lean  # by tilt and by the tip's motion
+        z = epochs.vertical_mps2[5, side]
+        assert abs(lean) > 1e-3
+        tilted = np.arctan(z * np.tan(lean) / (z + bias)) - lean
         row = Y_LEFT + side
         result = H[row, const.vertical_bias_state] @ (left - root, right - root)
         result -= measured[row, kalman.layout.column("bz")] * common  # prediction less reading
@@ -118,7 +133,7 @@ def _faster(parameters: ModeParameters, ratio: float) -> ModeParameters:
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
 def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(kernel: object) -> None:
     kalman = _filter()
-    epochs = _epochs(len(kalman.bias_parameters), 0.0)
+    epochs = _epochs(kalman, 0.0)
     layout, noise, believed = kalman.layout, kalman.noise, kalman.model.parameters
     motions = []
     for model in range(STEPS):
@@ -135,7 +150,7 @@ def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(ker
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
 def test_numbers_that_have_run_away_stop_the_filter(kernel: object) -> None:
     kalman = _filter()
-    epochs = _epochs(len(kalman.bias_parameters), 0.0)
+    epochs = _epochs(kalman, 0.0)
     kalman.covariance[0, 0] = np.inf
     const, model, filter_state, history = _kernel_arguments(kalman)
     assert not kernel.filter_epochs(const, model, epochs, filter_state, history, 0, STEPS, 0)  # type: ignore[attr-defined]
@@ -150,7 +165,7 @@ def _taught_by_gust(kernel: object, gust_mps2: float) -> tuple[Floats, Floats]:
     The tips' trim bend shows them gravity and the gust, nothing else is there.
     """
     kalman = _filter()
-    epochs, parameters = _epochs(len(kalman.bias_parameters), 0.0), kalman.layout.bias_parameters
+    epochs, parameters = _epochs(kalman, 0.0), kalman.layout.bias_parameters
     present, rows = np.zeros_like(epochs.present), np.zeros_like(epochs.rows)
     present[:, TIPS_UP], rows[:, TIPS_UP] = True, gust_mps2
     nothing = {

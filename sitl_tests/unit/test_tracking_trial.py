@@ -116,7 +116,8 @@ def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None
     """From a state that it cannot leave by itself it would never find back."""
     tracker = WingTracker(plain_airframe(), Settings(adapt=0))
     t, values = swinging(9.0, 0.005)
-    values[Station.LEFT][2500:, 1] = 0.2 * values[Station.LEFT][2500:, 2]
+    wrong = slice(2500, 7500)
+    values[Station.LEFT][wrong, 1] = 0.2 * values[Station.LEFT][wrong, 2]
     validities = {}
     for first in range(0, len(t), EVERY_MS):
         batch_slice = slice(first, first + EVERY_MS)

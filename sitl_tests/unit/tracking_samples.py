@@ -23,7 +23,10 @@ def plain_airframe() -> Airframe:
 
 
 def swinging(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Station, np.ndarray]]:
-    """A symmetric 5 Hz bending that is seen by the vertical axes and, by its slope, by the other two."""
+    """A symmetric 5 Hz bending that is seen by the vertical axes and, by its slope, by the other two.
+
+    The lateral axes feel the bent wing's way inboard, too.
+    """
     t = np.arange(round(seconds * 1000)) * 1e-3
     w, rng = 2 * np.pi * 5.0, np.random.default_rng(2)
     bend = amplitude_m * np.cos(w * t)
@@ -35,6 +38,8 @@ def swinging(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Stati
             side = 1.0 if station is Station.LEFT else -1.0
             v[:, 2] += w**2 * bend
             v[:, 1] += side * 1.39 * (bend + 0.0149) * (-G + w**2 * bend)
+            inboard = (w * amplitude_m * np.sin(w * t)) ** 2 - (bend + 0.0149) * w**2 * bend
+            v[:, 1] += side * 1.16194 * inboard
             v[:, 3] -= side * 1.39 * w * amplitude_m * np.sin(w * t)
         values[station] = v
     return EPOCH_NS + np.round(t * 1e9).astype(np.int64), values

@@ -43,6 +43,7 @@ def believed_airframe(spec: TruthSpec, seed: int, perturbation: Perturbation) ->
         trim_bend_m=Uncertain(spec.trim_bend_m, max(spec.trim_sigma_m, _EXACT_M)),
         bend_per_g_m=Uncertain(spec.bend_per_g_m, max(spec.bend_per_g_sigma_m, _EXACT_M)),
         second_symmetric=second,
+        shortening=Uncertain(0.0),
     )
     root, left, right = (_sensor(sensor) for sensor in spec.sensors)
     return Airframe("bench", "a truth with its belief perturbed", wing, root, left, right)

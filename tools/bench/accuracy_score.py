@@ -76,7 +76,7 @@ def score_cell(cell: Cell) -> list[Score]:
 def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
     run = simulate(cell.spec, seeds)
     values = samples(run)
-    oracle = Oracle(cell.spec, values)
+    oracle = Oracle(cell.spec, samples(run, moving=False))
     at_s = instants(cell.spec.duration_s)
     causal, smoothed = oracle.causal(at_s), oracle.smoothed(at_s, LAG_S)
     scores = []

@@ -125,6 +125,12 @@ class FilterConstants(NamedTuple):
     regressor_signs : (s,) float64
         Entries of the sensitivity that contain the measurement of the source row, which the prediction replaces: a
         regression on the measurement's own noise would be biased towards zero (errors in variables).
+    lever_m : (2,) float64
+        Places of the tips along body y from the root.
+    shortening_pm : (2, r, r) float64
+        Half of it times the lifts of two ranks of modes is how far a tip moves to the left by them, 1/m.
+    shortening_column : int
+        Column of the relative error of that, 0 where it is not estimated.
     """
 
     step_s: float
@@ -146,6 +152,9 @@ class FilterConstants(NamedTuple):
     regressor_columns: Ints
     regressor_sources: Ints
     regressor_signs: Floats
+    lever_m: Floats
+    shortening_pm: Floats
+    shortening_column: int
 
 
 class DiscreteModel(NamedTuple):
@@ -170,12 +179,16 @@ class DiscreteModel(NamedTuple):
         ``H1 Q``: covariance of the rows' noise with the process noise.
     process_noise_in_rows : (9, 9) float64
         ``H1 Q H1^T``.
-    linearisation_rows : (4 + f, n + 1) float64
-        Rows that give tip slopes (2), tip slope rates (2) and the regressors of the slope factors (f) from a state.
+    linearisation_rows : (6 + 6 r + f, n + 1) float64
+        Rows that give, from a state, what the middle of the step has: tip slopes and slope rates (2 each), roll rate,
+        roll acceleration; for each of r ranks of modes the tips' lifts, lift rates as it begins and lift accelerations
+        (2 each); the regressors of the slope factors (f).
     aliasing_variance : float
         Variance of a vertical mean, on average, by edges that cut samples, (m/s^2)^2.
     moments_beside_gyro : bool
         Whether first moments are used even where the tip has a gyro.
+    lift_acceleration_variance : (r,) float64
+        Variance, by the load inside the step, of the mean acceleration of a tip's lift by each rank of modes.
     """
 
     transition: Floats
@@ -191,6 +204,7 @@ class DiscreteModel(NamedTuple):
     linearisation_rows: Floats
     aliasing_variance: float
     moments_beside_gyro: bool
+    lift_acceleration_variance: Floats
 
 
 class FilterState(NamedTuple):

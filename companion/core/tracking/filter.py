@@ -89,7 +89,7 @@ class SeparatedBiasFilter:
             self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
         )
         self.history = make_history(history_length, n, c, ROWS)
-        self._constants = kernel_constants(layout, noise, model.step_s, trim_m, bend_per_g_m)
+        self._constants = kernel_constants(layout, noise, model, trim_m, bend_per_g_m)
         self.switch_model(model)
 
     def fork(self, model: DiscreteWingModel) -> SeparatedBiasFilter:

@@ -6,8 +6,9 @@ import numpy as np
 
 from companion.core.kernels.arrays import DiscreteModel, FilterConstants
 from companion.core.tracking.error_jacobians import measured_regressors
-from companion.core.tracking.model import DiscreteWingModel
+from companion.core.tracking.model import DiscreteWingModel, lift_rows
 from companion.core.tracking.states import P_LEFT, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
+from companion.core.wing.shortening import shortening_pm
 from companion.records import Floats
 
 
@@ -16,13 +17,18 @@ def kernel_model(
 ) -> DiscreteModel:
     """Discrete model with its ``transition`` (n, n), which is stored under an index, and the rows to linearise at.
 
-    The rows give slopes and slope rates in the middle of a step, then the change of each tip's slope and slope rate
-    with its slope factors.
+    The rows give slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes
+    lifts there, lift rates as it begins and expected lift accelerations; then the change of each tip's slope and slope
+    rate with its slope factors.
     """
     n = layout.size
     ahead, now = model.transition, np.eye(n, n + 1)
     middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
-    linearisation_rows = [model.slope @ middle, model.slope @ rate]
+    linearisation_rows = [model.slope @ middle, model.slope @ rate, middle[layout.roll_rate : layout.roll_accel + 1]]
+    lifts = [lift_rows(layout, rank) for rank in range(layout.ranks)]
+    for lift, lift_rate in lifts:
+        rising = lift_rate @ now
+        linearisation_rows += [lift @ now + 0.5 * model.step_s * rising, rising, lift_rate @ rate]
     for _, q, _, sign in layout.slope_factors:
         for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
             linearisation_rows += [-sign[side] * middle[q : q + 1], -sense_of_rotation * sign[side] * rate[q : q + 1]]
@@ -41,11 +47,12 @@ def kernel_model(
         linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
         aliasing_variance=model.aliasing_variance,
         moments_beside_gyro=model.moments_beside_gyro,
+        lift_acceleration_variance=np.array([rate[1] @ model.noise @ rate[1] for _, rate in lifts]) / model.step_s**2,
     )
 
 
 def kernel_constants(
-    layout: StateLayout, noise: SensorNoise, step_s: float, trim_m: float, bend_per_g_m: float
+    layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel, trim_m: float, bend_per_g_m: float
 ) -> FilterConstants:
     """Constants of the filter's inner loop, for one airframe."""
     bias_states = dict(layout.row_bias_states)
@@ -54,7 +61,7 @@ def kernel_constants(
     ]
     regressors = measured_regressors(layout)
     return FilterConstants(
-        step_s=step_s,
+        step_s=model.step_s,
         trim_m=trim_m,
         bend_per_g_m=bend_per_g_m,
         root_z_variance=noise.root_z_variance,
@@ -73,4 +80,12 @@ def kernel_constants(
         regressor_columns=np.array([column for _, column, _, _ in regressors], np.int64),
         regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
         regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
+        lever_m=np.array(model.lever_y_m),
+        shortening_pm=np.stack(
+            [
+                np.sign(lever) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), lever)
+                for lever in model.lever_y_m
+            ]
+        ),
+        shortening_column=layout.column("shortening") or 0,
     )

@@ -55,6 +55,8 @@ class DiscreteWingModel:
     step_s : float
         h.
     parameters : (symmetric, antisymmetric)
+    lever_y_m : (float, float)
+        Body y of left and right tip relative to the root.
     transition : (n, n + 1) float64
         ``[A | b]``: the last column takes the static bend.
     H : (9, n + 1) float64
@@ -75,6 +77,7 @@ class DiscreteWingModel:
 
     step_s: float
     parameters: WingParameters
+    lever_y_m: tuple[float, float]
     transition: Floats
     H: Floats
     noise: Floats
@@ -130,6 +133,7 @@ def build_model(
     return DiscreteWingModel(
         step_s,
         parameters,
+        lever_y_m,
         transition,
         H,
         q,
@@ -267,6 +271,15 @@ def slope_rows(layout: StateLayout) -> Floats:
         for q, _, factor in _shape_terms(family):
             rows[:, q] = np.array(family.sign) * factor
     return rows
+
+
+def lift_rows(layout: StateLayout, rank: int) -> tuple[Floats, Floats]:
+    """Rows (2, n) that give, from a state, both tips' lift (m) by the modes of a rank, and those that give its rate."""
+    lift, rate = np.zeros((2, layout.size)), np.zeros((2, layout.size))
+    for family in layout.families:
+        for q, v in family.pairs[rank : rank + 1]:
+            lift[:, q] = rate[:, v] = family.sign
+    return lift, rate
 
 
 @functools.lru_cache(maxsize=4)

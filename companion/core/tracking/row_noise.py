@@ -92,6 +92,8 @@ class RowNoise:
         covariance : (n, 9, 9) float64
             Their covariance as predicted, lower half; 0 where a row was absent.
         """
+        if len(innovation) < _MIN_STEPS:
+            return
         used = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
         rows = used.mean(axis=0) > 0.5
         at = np.all(used == rows, axis=1)

@@ -100,6 +100,8 @@ class StateLayout:
         Names, ``left.kz`` and so on, (c,).
     bias_parameter_sigma : (c,) float64
         Prior standard deviations.
+    shortening : float
+        How far a bent wing's tip moves inboard, over what a uniform cantilever's does.
     """
 
     symmetric: ModeFamily
@@ -110,6 +112,7 @@ class StateLayout:
     row_bias_states: tuple[tuple[int, int], ...]
     bias_parameters: tuple[str, ...]
     bias_parameter_sigma: Floats
+    shortening: float
 
     def column(self, name: str) -> int | None:
         """Column of a bias parameter in ``[x | V]``; None where its prior has no width."""
@@ -124,6 +127,11 @@ class StateLayout:
     def pairs(self) -> list[tuple[int, int]]:
         """Indices of deflection and rate of every mode."""
         return [pair for family in self.families for pair in family.pairs]
+
+    @property
+    def ranks(self) -> int:
+        """Number of modes of the family that has more."""
+        return max(len(family.modes) for family in self.families)
 
     @property
     def slope_factors(self) -> list[tuple[int, int, int, tuple[float, float]]]:
@@ -172,6 +180,7 @@ def make_layout(airframe: Airframe) -> StateLayout:
         row_bias_states=row_bias_states,
         bias_parameters=tuple(name for name, _ in named),
         bias_parameter_sigma=np.array([sigma for _, sigma in named]),
+        shortening=wing.shortening.value,
     )
 
 
@@ -206,6 +215,9 @@ def _bias_parameters(airframe: Airframe) -> list[tuple[str, float]]:
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
         named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
     named.append(("bz", _common_bias_sigma(airframe)))
+    lateral = any("y" in sensor.sends and "z" in sensor.sends for sensor in (airframe.left, airframe.right))
+    shortening = wing.shortening
+    named.append(("shortening", shortening.sigma / shortening.value if lateral and shortening.value > 0.0 else 0.0))
     root = airframe.root
     named += [(f"root.{error}", root.gyro_bias_sigma_radps) for error in ROOT_ERRORS if error[-1] in root.sends]
     return named

@@ -37,6 +37,7 @@ _HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
 _MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then lines are searched for
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
+_FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
 _TRIAL_S = 1.5  # derived: fits come once a second
 
 
@@ -76,6 +77,7 @@ class WingTracker:
         """Start again at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
         self._kalman = self._fresh(self._model(self._adaptation.parameters), self._row_noise)
+        self._believed = self._kalman.model
         self._readaptation: SpreadWork[NewParameters] | None = None  # new parameters on their way
         self._refused = False  # whether the last parameters made the measurements inconsistent
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
@@ -99,12 +101,11 @@ class WingTracker:
         """
         if batch.values.shape != (len(batch.t_ns), 6):
             raise ValueError(f"values of an ImuBatch are (n, 6), not {batch.values.shape}")
-        done_ns = self._next_ns if self._start_ns is not None else -(2**62)
-        return self._streams[batch.station].add(batch, done_ns)
+        return self._streams[batch.station].add(batch, self._next_ns if self._start_ns is not None else -(2**62))
 
     def lifted_off(self) -> None:
         """Start again without what rolling over bumps has taught; trusted again once the filter has settled."""
-        learned, self._row_noise = self._activity.learned, RowNoise(self._noise)
+        self._row_noise, learned = RowNoise(self._noise), self._activity.learned
         self._restart()
         self._activity.learned = learned
 
@@ -217,14 +218,12 @@ class WingTracker:
         return not self._kalman.finite or self._inconsistent_s > _INCONSISTENT_LIMIT_S
 
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
-        """Begin to fit parameters and to try them on what was measured since the trial filter was forked.
-
-        That is everything in the first seconds, later the epochs since the last fit.
-        """
+        """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        innovations = self._kalman.innovations(count)
-        trial = (self._model, self._trial, self._trial_epochs)
-        self._readaptation = SpreadWork(readapt(fit, self._row_noise, innovations, *trial))
+        # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
+        innovations = self._kalman.innovations(0 if self._kalman.model is self._believed else count)
+        trial = readapt(fit, self._row_noise, innovations, self._model, self._trial, self._trial_epochs)
+        self._readaptation = SpreadWork(trial)
 
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
         """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
@@ -246,6 +245,8 @@ class WingTracker:
             if remaining := self._trial_epochs[new.segments :]:
                 new.tried.run(join(remaining))
             self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
+            if new.tried.nis < _FALLING * self._kalman.nis:
+                self._inconsistent_s = 0.0  # a load that has grown is known now, and the state follows
             if self._refused:
                 model = self._kalman.model
             elif self._adaptation.refilter:
@@ -284,15 +285,14 @@ class WingTracker:
         """Wing at the newest processed instant; None before the first one."""
         if not self._body_rates:
             return None
-        kalman, layout = self._kalman, self._layout
+        kalman, layout, q = self._kalman, self._layout, [family.q for family in self._layout.families]
         state, covariance, dynamic = kalman.state, kalman.total_covariance, kalman.dynamic_covariance
         rms, static = self._activity.rms_m(), (kalman.static_m, 0.0)
         symmetric, antisymmetric = (
             mode_estimate(family, parameters, state, dynamic, static[k], float(rms[k]))
             for k, (family, parameters) in enumerate(zip(layout.families, self._adaptation.parameters, strict=True))
         )
-        q = [family.q for family in layout.families]
-        heard = tuple(station for station in Station if self._alive(station))
+        heard = tuple(filter(self._alive, Station))
         return ModeState(
             t_host_ns=self._next_ns,
             symmetric=symmetric,
@@ -306,9 +306,9 @@ class WingTracker:
 
     def bias_parameters(self) -> dict[str, tuple[float, float]]:
         """Estimate and sigma of every bias parameter (``states.StateLayout``), as deviations from the airframe's."""
-        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance))
-        estimates = zip(self._kalman.bias_parameters.tolist(), sigma.tolist(), strict=True)
-        return dict(zip(self._layout.bias_parameters, estimates, strict=True))
+        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance)).tolist()
+        columns = (self._layout.bias_parameters, self._kalman.bias_parameters.tolist(), sigma)
+        return {name: (value, spread) for name, value, spread in zip(*columns, strict=True)}
 
     def _alive(self, station: Station) -> bool:
         """Whether a station has sent lately."""
@@ -321,7 +321,7 @@ class WingTracker:
         stale |= now_host_ns - self._next_ns > (self._settings.reorder_window_s + self._settings.stale_s) * 1e9
         if stale:
             self._activity.settled_s = 0.0
-        recent = [s.saturated_ns for s in self._streams if s.saturated_ns is not None]
+        recent = [stream.saturated_ns for stream in self._streams if stream.saturated_ns is not None]
         return classify_validity(
             stale=stale,
             saturated=any(self._next_ns - saturated_ns < _SATURATION_HOLD_NS for saturated_ns in recent),

@@ -1,9 +1,10 @@
 """Sensing equation of an inertial sensor on the wing: gravity, rigid motion, heave and tilt of its station.
 
-With r the station's place from the root sensor, w its upward displacement and phi its rotation against the rest wing
-(left ``(+psi, tau, 0)``, right ``(-psi, tau, 0)``)::
+With r the station's place from the root sensor, ``d = (0, -s e, -w)`` its displacement by bending (w up, and e towards
+the root, for a bent wing keeps its length; s is the sign of y) and phi its rotation against the rest wing (left
+``(+psi, tau, 0)``, right ``(-psi, tau, 0)``)::
 
-    f_station = f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')
+    f_station = f_root + omega' x (r + d) + omega x (omega x (r + d)) + 2 omega x d' + d''
     f_sensed = R f_station,   gyro = R omega + phi',   R = exp(-[phi]x)
 
 Exact, for simulation and tests; the filter's linearisation is in ``core/tracking/model.py``. Sensor errors (bias,
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.model import WingModel
+from companion.core.wing.shortening import shortening_pm
 from companion.records import Floats, Side
 
 _SLOPE_SIGN = (1.0, -1.0)  # up-bend turns the left tip about +x, the right one about -x (by definition)
@@ -41,7 +43,7 @@ class ModalPath:
 
 
 def lever_arm_mps2(motion: RigidMotion, position_m: Floats) -> Floats:
-    """Lever-arm acceleration (m, 3) of rigid rotation at ``position_m`` (3,) from the root, m/s^2, body axes."""
+    """Acceleration (m, 3) of rigid rotation at ``position_m`` (3,) or (m, 3) from the root, m/s^2, body axes."""
     omega = motion.rate_radps
     tangential = np.cross(motion.angular_acceleration_radps2, position_m)
     return np.asarray(tangential + np.cross(omega, np.cross(omega, position_m)))
@@ -62,12 +64,30 @@ def sense_station(model: WingModel, side: Side, position_m: Floats, motion: Rigi
         Specific force in m/s^2 and angular rate in rad/s along the sensor's own, tilted axes.
     """
     rows = rotation_rows(model, side)
-    force = motion.specific_force_mps2 + lever_arm_mps2(motion, position_m)
-    force[:, 2] -= path.qddot_mps2 @ model.structure.lift[side]
+    place, rate, acceleration = _displaced(model, side, position_m, path)
+    force = motion.specific_force_mps2 + lever_arm_mps2(motion, position_m + place)
+    force = force + 2.0 * np.cross(motion.rate_radps, rate) + acceleration
     sensor_from_body = _rotations(-(path.q_m @ rows.T))
     turned_force = np.einsum("mij,mj->mi", sensor_from_body, force)
     turned_rate = np.einsum("mij,mj->mi", sensor_from_body, motion.rate_radps)
     return np.hstack([turned_force, turned_rate + path.qdot_mps @ rows.T])
+
+
+def _displaced(model: WingModel, side: Side, position_m: Floats, path: ModalPath) -> tuple[Floats, Floats, Floats]:
+    """Displacement of a station by bending and its first two derivatives, body axes, (m, 3) each."""
+    lift = model.structure.lift[side]
+    q, v, a = path.q_m * lift, path.qdot_mps * lift, path.qddot_mps2 * lift
+    ranks = tuple(slot // 2 for slot in model.structure.slots)
+    inward = np.sign(position_m[1]) * model.params.shortening.value * shortening_pm(ranks, float(position_m[1]))
+    along = (
+        0.5 * np.sum(q @ inward * q, axis=1),
+        np.sum(v @ inward * q, axis=1),
+        np.sum(v @ inward * v + q @ inward * a, axis=1),
+    )
+    none = np.zeros(len(q))
+    up = (q.sum(axis=1), v.sum(axis=1), a.sum(axis=1))
+    place, rate, acceleration = (np.stack([none, -y, -z], axis=1) for y, z in zip(along, up, strict=True))
+    return place, rate, acceleration
 
 
 def _rotations(vectors: Floats) -> Floats:

@@ -111,6 +111,8 @@ def _drawn(record: Any, rng: np.random.Generator) -> Any:
 
 
 def _draw_parameter(name: str, belief: Uncertain, rng: np.random.Generator) -> Uncertain:
+    if name == "shortening":
+        (rng,) = rng.spawn(1)  # what came later to the file leaves the draws of all else as they were
     normal = float(rng.standard_normal())
     if name in _LOG_NORMAL and belief.value > 0:
         return Uncertain(belief.value * math.exp(normal * belief.sigma / belief.value))

@@ -5,6 +5,9 @@ One function per equation of :mod:`companion.core.tracking.filter`; ``test_nativ
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import lapack
 
@@ -63,8 +66,8 @@ def _filter_step(
     history.state[slot], history.covariance[slot] = state_and_sensitivity[:n], covariance
     history.transition_index[slot], history.static_m[slot] = model.transition_index, state_and_sensitivity[n]
     residual_columns = np.concatenate([epochs.rows[k][:, None], -epochs.sensitivity[k]], axis=1)
-    H = model.H.copy()
-    _linearise(const, model, epochs, k, state_and_sensitivity @ one_and_bias, residual_columns, H)
+    H, state = model.H.copy(), state_and_sensitivity @ one_and_bias
+    _linearise(const, model, epochs, k, state, residual_columns, H)
     used = _select_rows(model, epochs, k)
     H_used = H[used, :n]
     HP = H_used @ covariance
@@ -80,7 +83,7 @@ def _filter_step(
         / float(model.process_noise_in_rows[Z_LEFT, Z_LEFT]),
         MAX_NOISE_INFLATION,
     )
-    S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
+    S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state)[np.ix_(used, used)]
     history.innovation[slot], history.innovation_covariance[slot] = 0.0, 0.0
     history.innovation[slot, used], history.innovation_covariance[slot][np.ix_(used, used)] = row_innovation, np.tril(S)
     cholesky = _cholesky(S)
@@ -94,7 +97,7 @@ def _filter_step(
             model, used, gated, row_innovation, predicted_variance, noise_inflation
         )
         gate_excess = _gate_excess(gated, row_innovation, predicted_variance)
-        S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
+        S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state)[np.ix_(used, used)]
         cholesky = _robust_cholesky(S, row_innovation)
         if cholesky is None:
             return False
@@ -218,18 +221,70 @@ def _linearise(
         if column:  # of the lateral force the Jacobian has the rigid one: here is what the tilt adds
             residual_columns[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side]
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
+    for side in (0, 1):
+        moving = _moving_tip(const, model, epochs, k, side, state)
+        residual_columns[Y_LEFT + side, 0] += moving.rest
+        if const.shortening_column:
+            residual_columns[Y_LEFT + side, const.shortening_column] -= moving.inboard
+        H[Y_LEFT + side] += moving.row
     for side in (0, 1) if const.common_bias_column else ():
         if epochs.present[k, Y_LEFT + side]:
             # the slope seen is lateral over vertical force
-            residual_columns[Y_LEFT + side, const.common_bias_column] += slope[side] / vertical_mps2[side]
-            H[Y_LEFT + side, const.vertical_bias_state] -= (
-                slope[side] / vertical_mps2[side] * const.bias_projection[side]
-            )
+            lean = _moving_tip(const, model, epochs, k, side, state).lean
+            residual_columns[Y_LEFT + side, const.common_bias_column] += lean / vertical_mps2[side]
+            H[Y_LEFT + side, const.vertical_bias_state] -= lean / vertical_mps2[side] * const.bias_projection[side]
     H[up] -= (vertical_mps2 * slope + epochs.lateral_mps2[k])[:, None] * model.linearisation_rows[:2]
     for side, bias in enumerate(const.lateral_bias_state.tolist()):
         if bias >= 0:
             H[Y_LEFT + side, bias] = epochs.lateral_gain[k, side]
-    residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[4:]
+    residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[
+        6 + 6 * const.shortening_pm.shape[1] :
+    ]
+
+
+class _MovingTip(NamedTuple):
+    """Slope by a lateral force of a tip's motion in the turning body: row (n + 1,), what that leaves, and one part."""
+
+    row: Floats
+    rest: float
+    inboard: float
+    variance_mps2_2: float
+    lean: float
+
+
+def _moving_tip(
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats
+) -> _MovingTip:
+    """``2 p w' + p' w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it."""
+    ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
+    lift_rows, rate_rows, accel_rows = np.stack(
+        [model.linearisation_rows[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1
+    )
+    p_row, a_row = model.linearisation_rows[4:6]
+    lift, rate, accel = np.stack([linearised[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1)
+    p, p_dot, K = float(linearised[4]), float(linearised[5]), const.shortening_pm[side]
+    slope = float(linearised[side])
+    tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
+    measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
+    if epochs.present[k, Z_LEFT + side]:
+        accel = np.concatenate([[measured - accel[1:].sum()], accel[1:]])
+    inside_mps = -const.step_s * float(epochs.rows[k, M_LEFT + side])
+    rate = rate + 0.5 * const.step_s * accel
+    rate[0] -= inside_mps
+    inside = inside_mps * K[:, 0]
+    along = lift @ K @ accel + rate @ K @ rate + rate @ inside
+    force = 2.0 * p * rate.sum() + p_dot * lift.sum() - along
+    per_accel = -lift @ (K - K[:, :1])
+    row = (p_dot - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
+    row = row + per_accel[1:] @ accel_rows[1:] + 2.0 * rate.sum() * p_row + lift.sum() * a_row
+    gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
+    lean = math.tan(read) - gain * force
+    predicted = slope + gain * force
+    gain /= 1.0 + lean**2
+    variance = float(per_accel[1:] ** 2 @ model.lift_acceleration_variance[1:])
+    return _MovingTip(
+        gain * row, math.atan(lean) - read + gain * float(row @ state), -gain * along, variance, predicted
+    )
 
 
 def _select_rows(model: DiscreteModel, epochs: Epochs, k: int) -> Ints:
@@ -241,7 +296,7 @@ def _select_rows(model: DiscreteModel, epochs: Epochs, k: int) -> Ints:
 
 
 def _measurement_noise(
-    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, noise_inflation: float
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, noise_inflation: float, state: Floats
 ) -> Floats:
     """Covariance (9, 9) of the rows by inflated process noise, sensors, aliasing and root motion."""
     out = noise_inflation * model.process_noise_in_rows
@@ -250,7 +305,8 @@ def _measurement_noise(
         epochs.lateral_gain[k],
         epochs.root_motion_variance[k],
     )
-    variance[Y_LEFT:P_LEFT] *= gain**2
+    moving = [_moving_tip(const, model, epochs, k, side, state).variance_mps2_2 for side in (0, 1)]
+    variance[Y_LEFT:P_LEFT] = (variance[Y_LEFT:P_LEFT] + noise_inflation * np.array(moving)) * gain**2
     variance[Z_LEFT:M_LEFT] += noise_inflation * model.aliasing_variance * epochs.aliasing_noise[k]
     variance[P_ROOT] += root_motion_variance[2]
     out[range(ROWS), range(ROWS)] += variance
