@@ -16,7 +16,7 @@
 
 /* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
  * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
-enum { SLOPES = 0, SLOPE_RATES = 2, ROLL_RATE = 4, ROLL_ACCELERATION, MODES, EACH_RANK = 6, MAX_RANKS = 8 };
+enum { SLOPES = 0, SLOPE_RATES = 2, ROLL_RATE = 4, ROLL_ACCELERATION, MODES, EACH_RANK = 6, MAX_RANKS = 16 };
 
 typedef struct {
     double step_s, trim_m, bend_per_g_m, root_z_variance, root_y_variance;
@@ -42,13 +42,14 @@ typedef struct {
     const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums;
 } state_record;
 
-/* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: itself, the part by its way inboard, its
- * derivatives by roll rate and acceleration and by each rank's lift, lift rate and lift acceleration, its variance by
- * accelerations of higher modes that are not expected. Of the slope row: what a unit of the force adds, what a linear
- * form of the above leaves of that, and what tilt and force together read. */
+/* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: its derivatives by roll rate and
+ * acceleration and by each rank's lift, lift rate and lift acceleration, itself, what a linear form of these leaves of
+ * the slope row, the part of the force by the way inboard, what a unit of force adds to the row, what tilt and force
+ * read together, the force's variance by accelerations of higher modes that are not expected, and the force as it is
+ * expected without the measured acceleration, for the row that measures it. */
 typedef struct {
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
-        force, rest, inboard, gain, lean, variance;
+        force, rest, inboard, gain, lean, variance, expected;
 } moving_tip;
 
 /* Everything of a run as plain pointers, and scratch arrays of one step. `used` are the numbers of the used rows,
@@ -127,7 +128,7 @@ static void select_rows(run *f, const uint8_t *present)
     }
 }
 
-/* Mean lift rate over step k of each rank, from that at its start and the measured acceleration of all together: of
+/* Mean lift rates over step k by rank, from those at its start and the measured acceleration of all ranks together: of
  * higher ranks the expected part, of the first the rest. Returns the first rank's mean acceleration. */
 static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
 {
@@ -145,34 +146,43 @@ static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
     return first;
 }
 
-/* Motion of a tip in the turning body: Coriolis' and Euler's force by its lift w, and that of the bent wing's tip, which
- * moves inboard by half of K w^2. */
+/* Motion of a tip in the turning body: Coriolis' and Euler's force by its lift w, and that of the bent wing's tip,
+ * which moves inboard by half of K w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 {
     const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
     const double *K = f->shortening_pm + side * f->ranks * f->ranks;
-    double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION], rates[MAX_RANKS], linear = 0.0;
+    double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
+    double rates[MAX_RANKS], by_rates[MAX_RANKS], step_s = f->constants->step_s, linear = 0.0;
     double first = find_lift_rates(f, k, side, rates);
-    double inside = -f->constants->step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
+    double inside = -step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
+    bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
     moving_tip tip = {.force = 0.0};
     for (int64_t a = 0; a < f->ranks; a++) {
-        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, by_moment = K[a * f->ranks] * inside;
+        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, of_first = measured ? K[a * f->ranks] : 0.0;
+        double by_moment = of_first * inside;
         for (int64_t b = 0; b < f->ranks; b++) {
-            double shortening = K[a * f->ranks + b];
+            double shortening = measured ? K[a * f->ranks + b] : 0.0;
             by_lift += shortening * (b ? expected[b * EACH_RANK] : first);
             by_rate += shortening * rates[b];
-            tip.per_acceleration[b] -= b ? (shortening - K[a * f->ranks]) * lift : 0.0;
+            tip.expected -= K[a * f->ranks + b] *
+                            (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
+            tip.per_acceleration[b] -= b ? (shortening - of_first) * lift : 0.0;
         }
+        by_rates[a] = by_rate;
         tip.per_lift[a] = p_dot - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
-        tip.per_roll_acceleration += lift;
+        tip.per_roll_acceleration += (1.0 - of_first * f->lever_m[side]) * lift; /* it lifts the tip as well */
         tip.inboard -= by_lift * lift + (by_rate + by_moment) * rates[a];
         tip.force += p_dot * lift + 2.0 * p * rates[a];
+        tip.expected += p_dot * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
     linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
-    for (int64_t b = 1; b < f->ranks; b++) {
+    /* half a step of each is in its rate, and with its sign turned in the first rank's */
+    for (int64_t b = 0; b < f->ranks; b++) {
+        tip.per_acceleration[b] += step_s * (measured ? by_rates[0] - by_rates[b] : p);
         linear += tip.per_acceleration[b] * expected[b * EACH_RANK];
         tip.variance += squared(tip.per_acceleration[b]) * f->lift_acceleration_variance[b];
     }
@@ -198,8 +208,7 @@ static void add_moving_tip(const run *f, int side, double *out)
         const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
         add_scaled(out, lift, gain * tip->per_lift[a], n);
         add_scaled(out, lift + 2 * n, gain * tip->per_rate[a], n);
-        if (a)
-            add_scaled(out, lift + 4 * n, gain * tip->per_acceleration[a], n);
+        add_scaled(out, lift + 4 * n, gain * tip->per_acceleration[a], n);
     }
 }
 
@@ -215,7 +224,9 @@ static void linearise_rows(run *f, int64_t k)
         double vertical = f->vertical_mps2[2 * k + side];
         if (r >= 0)
             add_scaled(f->H + r * n, f->linearisation_rows + side * n,
-                       -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side]), n);
+                       -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side] +
+                         (1.0 - 2.0 * side) * f->tip[side].expected),
+                       n);
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
             if (bias >= 0)
@@ -280,12 +291,13 @@ static void find_innovation(run *f, int64_t k, double *out)
             out[r * width + j] = -sensitivity[j - 1];
     }
     for (int side = 0; side < 2; side++) {
-        double slope = f->linearised[side], rate = f->linearised[SLOPE_RATES + side], vertical = f->vertical_mps2[2 * k + side];
+        double slope = f->linearised[SLOPES + side], rate = f->linearised[SLOPE_RATES + side];
+        double vertical = f->vertical_mps2[2 * k + side];
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
             out[r * width] -= 0.5 * vertical * slope * slope;
-            if (roll) /* of the lateral force the Jacobian has the rigid one: here is what the tilt adds */
-                out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope;
+            if (roll) /* of the lateral force the Jacobian has the rigid one: here is the rest */
+                out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope + f->tip[side].expected;
         }
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
@@ -604,7 +616,8 @@ static bool read_model(const model_record *record, run *f)
     return good && extent(record->static_input, 0) == n && has_shape(record->H, ROWS, n + 1, -1) &&
            has_shape(record->Q, n, n, -1) && has_shape(record->cross_cov, ROWS, n, -1) &&
            has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
-           extent(record->linearisation_rows, 1) == n + 1 && f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&
+           extent(record->linearisation_rows, 1) == n + 1 &&
+           f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&
            extent(record->lift_acceleration_variance, 0) == f->ranks && record->transition_index < f->h.transitions;
 }
 

@@ -177,6 +177,8 @@ def _wing(airframe: Airframe) -> Iterator[str]:
         bend = getattr(wing, name)
         if abs(bend.value) > wing.semispan_m:
             yield f"'wing.{name}' = {bend.value:g} m is more than the semispan of {wing.semispan_m:g} m"
+    if wing.shortening.value == 0.0 < wing.shortening.sigma:
+        yield f"'wing.shortening' = 0 has a sigma of {wing.shortening.sigma:g}: it is relative to the value"
     for name, mode in wing.modes.items():
         for key in ("frequency_hz", "damping"):
             yield from _relative(getattr(mode, key), f"wing.{name}.{key}")

@@ -2,7 +2,7 @@
 
 The wing moves as sums of sines; every sensor is sampled at 1 kHz from the formulas of the common physics: tip specific
 force ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, with a lateral ``2 p w' + p' w`` by the roll and
-``-+1.162 (w w'' + w'^2)`` by the bent wing's way inboard, turned about body x by +slope on the left and by -slope on
+``+-1.162 (w w'' + w'^2)`` by the bent wing's way inboard, turned about body x by +slope on the left and by -slope on
 the right.
 """
 

@@ -203,22 +203,29 @@ def over_a_slope(slope: float, *, toe_confirmed: bool, airspeed_mps: float = 22.
     return trusted
 
 
-@pytest.mark.parametrize(("first_m", "trusted"), [(60.5, [True, True]), (56.0, [False, True]), (64.0, [False, True])])
+@pytest.mark.parametrize(
+    ("pairs_m", "pause_s", "trusted"),
+    [
+        ([60.5, 60.0], 0.0, [True, True]),
+        ([56.0, 60.0], 0.0, [False, True]),
+        ([56.0, 56.5], 0.0, [False, True]),  # two that agree, both 2.5 sigma and more from the last trusted one
+        ([60.5, 60.0], 30.0, [False, False]),  # long ago: three must agree
+    ],
+)
 def test_the_first_range_by_a_toe_learnt_anew_needs_another_unless_it_lies_close(
-    first_m: float, trusted: list[bool]
+    pairs_m: list[float], pause_s: float, trusted: list[bool]
 ) -> None:
     """Sigma 1 m: 4 m from the last trusted range may be noise of 2.8 sigma, or the matches of a single pair."""
     gate = RangeGate(1.0)
 
-    def judged(k: int, range_m: float) -> bool:
-        measured = CorrectedRange(
-            k, k, k * PERIOD_NS, 25, range_m, 1.0, 0.0, 1e-4, range_m, 100, trusted=True, reject=None
-        )
+    def judged(k: int, range_m: float, after_s: float = 0.0) -> bool:
+        at_ns = k * PERIOD_NS + round(1e9 * after_s)
+        measured = CorrectedRange(k, k, at_ns, 25, range_m, 1.0, 0.0, 1e-4, range_m, 100, trusted=True, reject=None)
         return gate.judge(measured, 0.0, slack_mps=0.0).trusted
 
     assert [judged(k, 60.0) for k in range(4)] == [False, False, True, True]
     gate.reopened()
-    assert [judged(4, first_m), judged(5, 60.0)] == trusted
+    assert [judged(4 + k, range_m, pause_s) for k, range_m in enumerate(pairs_m)] == trusted
 
 
 @pytest.mark.parametrize("slope", [-0.9, 0.9])

@@ -121,6 +121,35 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
         assert result == pytest.approx(tilted, rel=3e-3)
 
 
+@pytest.mark.parametrize("missing", [None, Z_LEFT])
+def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: int | None) -> None:
+    """Coriolis' and Euler's force and the way inboard: the prediction's difference quotient by every state."""
+    kalman = _filter()
+    const, model, _, _ = _kernel_arguments(kalman)
+    epochs, size = _epochs(kalman, 0.0), kalman.layout.size + 1
+    none = np.zeros((STEPS, 2))  # the slope's change with the force inside the epoch is taken as known
+    epochs = epochs._replace(rows=0.1 * epochs.rows, lateral_mps2=none, slope_rate_gain=none)
+    if missing is not None:
+        epochs.present[5, missing] = False
+    state = 3e-4 * np.random.default_rng(3).standard_normal(size)
+    state[kalman.layout.roll_rate], state[kalman.layout.roll_accel] = 0.5, 2.0
+
+    def linearised(at: Floats) -> tuple[Floats, Floats]:
+        """Innovations of both slope rows, and their derivative by the state with its sign turned."""
+        residual = np.zeros((ROWS, 1 + len(kalman.bias_parameters)))
+        residual[:, 0], H = epochs.rows[5], model.H.copy()
+        kernel_numpy._linearise(const, model, epochs, 5, at, residual, H)
+        return (residual[:, 0] - H @ at)[Y_LEFT : Y_LEFT + 2], H[Y_LEFT : Y_LEFT + 2]
+
+    _, H = linearised(state)
+    for i in range(size - 1):
+        step = np.zeros(size)
+        step[i] = 1e-4
+        quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
+        own = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
+        assert -quotient == pytest.approx(H[:, i], abs=0.02 * own), f"state {i}"
+
+
 def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
     assert _filter().layout.column("bz") is None
 

@@ -1,8 +1,8 @@
 """Samples of the three inertial sensors: the specific force and rate at a bending station, with every sensor error.
 
 A sample is the average over its millisecond (an integrating IMU), stamped at the middle of it. A tip that moves in a
-rolling body feels a lateral force beyond the rigid one; the reference, which may know it, is given samples without it.
-Here a tip moves straight up, as the reference's linear equations have it, and not inboard.
+rolling body feels a lateral force beyond the rigid one. The reference knows the motion, and is given samples without
+that force; and here a tip moves straight up, as the reference's linear equations have it, and not inboard.
 """
 
 from __future__ import annotations
@@ -20,10 +20,6 @@ Floats = npt.NDArray[np.float64]
 EPOCH_HOST_NS = 1_000_000_000_000
 _LETTERS = "xyzpqr"
 _SIDE = (0.0, -1.0, 1.0)
-_SHORTENING = np.array(
-    [[1.16194, 1.84497], [1.84497, 8.10435]]
-)  # int phi_i' phi_j' of a uniform cantilever of length 1
-_RANKS = (0, 0, 1)  # of symmetric, antisymmetric and second symmetric mode
 
 
 def samples(run: TruthRun, moving: bool = True) -> tuple[Floats, Floats, Floats]:

@@ -167,9 +167,9 @@ class RangeGate:
             return several
         if moving.agree(self._trusted, level) and not self._stays_apart(level, moving):
             self._departed, self._apart = None, 0
-            if self._reopened:
-                return self._agreeing >= _AGREEING_ANEW or moving.confirms(self._trusted, level)
-            return several or level.t_ns - self._trusted.t_ns < _FRESH_NS
+            fresh = level.t_ns - self._trusted.t_ns < (_FORGET_NS if self._reopened else _FRESH_NS)
+            confirmed = self._agreeing >= _AGREEING_ANEW or moving.confirms(self._trusted, level)
+            return several or (fresh and (confirmed or not self._reopened))
         if self._departed is None or self._agreeing == 1:
             self._departed = level
         self._apart += 1

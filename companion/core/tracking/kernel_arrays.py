@@ -83,8 +83,8 @@ def kernel_constants(
         lever_m=np.array(model.lever_y_m),
         shortening_pm=np.stack(
             [
-                np.sign(lever) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), lever)
-                for lever in model.lever_y_m
+                np.sign(y_m) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), y_m)
+                for y_m in layout.tip_y_m
             ]
         ),
         shortening_column=layout.column("shortening") or 0,

@@ -8,7 +8,8 @@ sensors deliver:
   are correlated as they are in nature;
 - vertical, first moment ``integral (t - middle) (-w'') dt / h^2`` = ``-((w1' + w0')/2 - (w1 - w0)/h) / h``, exactly:
   under a nearly white gust the path inside the step would be lost without it;
-- lateral over vertical specific force: mean slope, ``(psi0 + psi1)/2 - h (psi1' - psi0')/12``, error (omega h)^4/720;
+- lateral over vertical specific force: mean slope, ``(psi0 + psi1)/2 - h (psi1' - psi0')/12``, error (omega h)^4/720,
+  beside the force of a moving tip, which is linearised at each step (``find_moving_tip`` in ``native/filter.c``);
 - roll rate: mean slope rate ``(psi1 - psi0) / h``, exactly, on top of the rigid roll rate.
 
 All are linear in the state before and after the step: ``z = H1 x1 + H0 x0 + noise`` with ``x1 = A x0 + b u + w``. The

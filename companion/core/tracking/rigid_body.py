@@ -1,8 +1,8 @@
 """Measurement rows from averaged streams, with the motion of the rigid aircraft removed.
 
-A tip at ``r`` from the root feels ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, rotated by its own
-bending slope. The lift of the roll acceleration stays in: at the wing's lever it is as large as the bending, and it is
-a state of the filter.
+A tip at ``r`` from the root feels ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, and a lateral force by
+its own motion in the turning body (the filter's: ``native/filter.c``), rotated by its own bending slope. The lift of
+the roll acceleration stays in: at the wing's lever it is as large as the bending, and it is a state of the filter.
 """
 
 from __future__ import annotations

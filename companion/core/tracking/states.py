@@ -102,6 +102,8 @@ class StateLayout:
         Prior standard deviations.
     shortening : float
         How far a bent wing's tip moves inboard, over what a uniform cantilever's does.
+    tip_y_m : (float, float)
+        Body y of the left and right tip station.
     """
 
     symmetric: ModeFamily
@@ -113,6 +115,7 @@ class StateLayout:
     bias_parameters: tuple[str, ...]
     bias_parameter_sigma: Floats
     shortening: float
+    tip_y_m: tuple[float, float]
 
     def column(self, name: str) -> int | None:
         """Column of a bias parameter in ``[x | V]``; None where its prior has no width."""
@@ -181,6 +184,7 @@ def make_layout(airframe: Airframe) -> StateLayout:
         bias_parameters=tuple(name for name, _ in named),
         bias_parameter_sigma=np.array([sigma for _, sigma in named]),
         shortening=wing.shortening.value,
+        tip_y_m=(airframe.left.position_m[1], airframe.right.position_m[1]),
     )
 
 

@@ -220,8 +220,9 @@ class WingTracker:
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
-        innovations = self._kalman.innovations(0 if self._kalman.model is self._believed else count)
+        if self._adaptation.early and self._kalman.model is self._believed:
+            count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
+        innovations = self._kalman.innovations(count)
         trial = readapt(fit, self._row_noise, innovations, self._model, self._trial, self._trial_epochs)
         self._readaptation = SpreadWork(trial)
 

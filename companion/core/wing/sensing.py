@@ -7,8 +7,8 @@ the root, for a bent wing keeps its length; s is the sign of y) and phi its rota
     f_station = f_root + omega' x (r + d) + omega x (omega x (r + d)) + 2 omega x d' + d''
     f_sensed = R f_station,   gyro = R omega + phi',   R = exp(-[phi]x)
 
-Exact, for simulation and tests; the filter's linearisation is in ``core/tracking/model.py``. Sensor errors (bias,
-scale, noise, filter) come after this.
+Exact, for simulation and tests; the filter's linearisation is in ``core/tracking/model.py`` and ``native/filter.c``.
+Sensor errors (bias, scale, noise, filter) come after this.
 """
 
 from __future__ import annotations

@@ -217,9 +217,11 @@ def _linearise(
     vertical_mps2, slope, rate = epochs.vertical_mps2[k], linearised[:2], linearised[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
+    force = np.array([_moving_tip(const, model, epochs, k, side, state).expected_mps2 for side in (0, 1)])
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
-        if column:  # of the lateral force the Jacobian has the rigid one: here is what the tilt adds
-            residual_columns[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side]
+        if column:  # of the lateral force the Jacobian has the rigid one: here is the rest
+            rest = (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side] + force[side]
+            residual_columns[Z_LEFT + side, column] += rest
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side in (0, 1):
         moving = _moving_tip(const, model, epochs, k, side, state)
@@ -233,7 +235,8 @@ def _linearise(
             lean = _moving_tip(const, model, epochs, k, side, state).lean
             residual_columns[Y_LEFT + side, const.common_bias_column] += lean / vertical_mps2[side]
             H[Y_LEFT + side, const.vertical_bias_state] -= lean / vertical_mps2[side] * const.bias_projection[side]
-    H[up] -= (vertical_mps2 * slope + epochs.lateral_mps2[k])[:, None] * model.linearisation_rows[:2]
+    lateral = epochs.lateral_mps2[k] + np.array([1.0, -1.0]) * force
+    H[up] -= (vertical_mps2 * slope + lateral)[:, None] * model.linearisation_rows[:2]
     for side, bias in enumerate(const.lateral_bias_state.tolist()):
         if bias >= 0:
             H[Y_LEFT + side, bias] = epochs.lateral_gain[k, side]
@@ -250,6 +253,7 @@ class _MovingTip(NamedTuple):
     inboard: float
     variance_mps2_2: float
     lean: float
+    expected_mps2: float
 
 
 def _moving_tip(
@@ -262,10 +266,13 @@ def _moving_tip(
     )
     p_row, a_row = model.linearisation_rows[4:6]
     lift, rate, accel = np.stack([linearised[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1)
-    p, p_dot, K = float(linearised[4]), float(linearised[5]), const.shortening_pm[side]
+    p, p_dot = float(linearised[4]), float(linearised[5])
+    K = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
     slope = float(linearised[side])
     tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
     measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
+    whole = const.shortening_pm[side]
+    expected = 2.0 * p * rate.sum() + p_dot * lift.sum() - lift @ whole @ accel - rate @ whole @ rate
     if epochs.present[k, Z_LEFT + side]:
         accel = np.concatenate([[measured - accel[1:].sum()], accel[1:]])
     inside_mps = -const.step_s * float(epochs.rows[k, M_LEFT + side])
@@ -274,16 +281,19 @@ def _moving_tip(
     inside = inside_mps * K[:, 0]
     along = lift @ K @ accel + rate @ K @ rate + rate @ inside
     force = 2.0 * p * rate.sum() + p_dot * lift.sum() - along
-    per_accel = -lift @ (K - K[:, :1])
+    by_rate = K @ rate
+    half_a_step = by_rate[0] - by_rate if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
+    per_accel = const.step_s * half_a_step - lift @ (K - K[:, :1])
     row = (p_dot - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
-    row = row + per_accel[1:] @ accel_rows[1:] + 2.0 * rate.sum() * p_row + lift.sum() * a_row
+    row = row + per_accel @ accel_rows + 2.0 * rate.sum() * p_row
+    row = row + lift @ (1.0 - K[:, 0] * float(const.lever_m[side])) * a_row  # the roll lifts the tip as well
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
     lean = math.tan(read) - gain * force
     predicted = slope + gain * force
     gain /= 1.0 + lean**2
-    variance = float(per_accel[1:] ** 2 @ model.lift_acceleration_variance[1:])
+    variance = float(per_accel**2 @ model.lift_acceleration_variance)
     return _MovingTip(
-        gain * row, math.atan(lean) - read + gain * float(row @ state), -gain * along, variance, predicted
+        gain * row, math.atan(lean) - read + gain * float(row @ state), -gain * along, variance, predicted, expected
     )
 
 
