@@ -146,8 +146,8 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         step = np.zeros(size)
         step[i] = 1e-4
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
-        own = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
-        assert -quotient == pytest.approx(H[:, i], abs=0.02 * own), f"state {i}"
+        tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
+        assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
 
 
 def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:

@@ -36,10 +36,11 @@ def swinging(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Stati
         v[:, 2] -= G
         if station is not Station.ROOT:
             side = 1.0 if station is Station.LEFT else -1.0
-            v[:, 2] += w**2 * bend
-            v[:, 1] += side * 1.39 * (bend + 0.0149) * (-G + w**2 * bend)
-            inboard = (w * amplitude_m * np.sin(w * t)) ** 2 - (bend + 0.0149) * w**2 * bend
-            v[:, 1] += side * 1.16194 * inboard
+            lift, slope = bend + 0.0149, 1.39 * (bend + 0.0149)
+            across = side * 1.16194 * ((w * amplitude_m * np.sin(w * t)) ** 2 - lift * w**2 * bend)
+            down = -G + w**2 * bend
+            v[:, 1] += np.cos(slope) * across + side * np.sin(slope) * down
+            v[:, 2] += G + np.cos(slope) * down - side * np.sin(slope) * across
             v[:, 3] -= side * 1.39 * w * amplitude_m * np.sin(w * t)
         values[station] = v
     return EPOCH_NS + np.round(t * 1e9).astype(np.int64), values

@@ -271,8 +271,8 @@ def _moving_tip(
     slope = float(linearised[side])
     tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
     measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
-    whole = const.shortening_pm[side]
-    expected = 2.0 * p * rate.sum() + p_dot * lift.sum() - lift @ whole @ accel - rate @ whole @ rate
+    shortening = const.shortening_pm[side]
+    expected = 2.0 * p * rate.sum() + p_dot * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
     if epochs.present[k, Z_LEFT + side]:
         accel = np.concatenate([[measured - accel[1:].sum()], accel[1:]])
     inside_mps = -const.step_s * float(epochs.rows[k, M_LEFT + side])
