@@ -38,6 +38,7 @@ _MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
+_BLIND_S = 2.0  # derived: the first fit begins before, the second then
 _TRIAL_S = 1.5  # derived: fits come once a second
 
 
@@ -220,11 +221,10 @@ class WingTracker:
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        if self._adaptation.early and self._kalman.model is self._believed:
+        if self._kalman.model is self._believed and self._kalman.steps * self._step_s < _BLIND_S:
             count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
-        innovations = self._kalman.innovations(count)
-        trial = readapt(fit, self._row_noise, innovations, self._model, self._trial, self._trial_epochs)
-        self._readaptation = SpreadWork(trial)
+        trial = (self._model, self._trial, self._trial_epochs)
+        self._readaptation = SpreadWork(readapt(fit, self._row_noise, self._kalman.innovations(count), *trial))
 
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
         """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
