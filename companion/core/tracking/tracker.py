@@ -38,7 +38,7 @@ _MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
-_BLIND_S = 2.0  # derived: the first fit begins before, the second then
+_BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
 _TRIAL_S = 1.5  # derived: fits come once a second
 
 
@@ -78,7 +78,6 @@ class WingTracker:
         """Start again at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
         self._kalman = self._fresh(self._model(self._adaptation.parameters), self._row_noise)
-        self._believed = self._kalman.model
         self._readaptation: SpreadWork[NewParameters] | None = None  # new parameters on their way
         self._refused = False  # whether the last parameters made the measurements inconsistent
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
@@ -106,7 +105,7 @@ class WingTracker:
 
     def lifted_off(self) -> None:
         """Start again without what rolling over bumps has taught; trusted again once the filter has settled."""
-        self._row_noise, learned = RowNoise(self._noise), self._activity.learned
+        learned, self._row_noise = self._activity.learned, RowNoise(self._noise)
         self._restart()
         self._activity.learned = learned
 
@@ -221,7 +220,7 @@ class WingTracker:
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        if self._kalman.model is self._believed and self._kalman.steps * self._step_s < _BLIND_S:
+        if self._kalman.steps * self._step_s < _BLIND_S:
             count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
         trial = (self._model, self._trial, self._trial_epochs)
         self._readaptation = SpreadWork(readapt(fit, self._row_noise, self._kalman.innovations(count), *trial))
@@ -307,9 +306,9 @@ class WingTracker:
 
     def bias_parameters(self) -> dict[str, tuple[float, float]]:
         """Estimate and sigma of every bias parameter (``states.StateLayout``), as deviations from the airframe's."""
-        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance)).tolist()
-        columns = (self._layout.bias_parameters, self._kalman.bias_parameters.tolist(), sigma)
-        return {name: (value, spread) for name, value, spread in zip(*columns, strict=True)}
+        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance))
+        estimates = zip(self._kalman.bias_parameters.tolist(), sigma.tolist(), strict=True)
+        return dict(zip(self._layout.bias_parameters, estimates, strict=True))
 
     def _alive(self, station: Station) -> bool:
         """Whether a station has sent lately."""
@@ -322,7 +321,7 @@ class WingTracker:
         stale |= now_host_ns - self._next_ns > (self._settings.reorder_window_s + self._settings.stale_s) * 1e9
         if stale:
             self._activity.settled_s = 0.0
-        recent = [stream.saturated_ns for stream in self._streams if stream.saturated_ns is not None]
+        recent = [s.saturated_ns for s in self._streams if s.saturated_ns is not None]
         return classify_validity(
             stale=stale,
             saturated=any(self._next_ns - saturated_ns < _SATURATION_HOLD_NS for saturated_ns in recent),

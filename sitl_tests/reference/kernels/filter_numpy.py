@@ -217,22 +217,22 @@ def _linearise(
     vertical_mps2, slope, rate = epochs.vertical_mps2[k], linearised[:2], linearised[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
-    force = np.array([_moving_tip(const, model, epochs, k, side, state).expected_mps2 for side in (0, 1)])
+    tips = [_moving_tip(const, model, epochs, k, side, state) for side in (0, 1)]
+    force = np.array([tip.expected_mps2 for tip in tips])
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
         if column:  # of the lateral force the Jacobian has the rigid one: here is the rest
             rest = (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side] + force[side]
             residual_columns[Z_LEFT + side, column] += rest
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
-    for side in (0, 1):
-        moving = _moving_tip(const, model, epochs, k, side, state)
-        residual_columns[Y_LEFT + side, 0] += moving.rest
+    for side, tip in enumerate(tips):
+        residual_columns[Y_LEFT + side, 0] += tip.rest
         if const.shortening_column:
-            residual_columns[Y_LEFT + side, const.shortening_column] -= moving.inboard
-        H[Y_LEFT + side] += moving.row
+            residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard
+        H[Y_LEFT + side] += tip.row
     for side in (0, 1) if const.common_bias_column else ():
         if epochs.present[k, Y_LEFT + side]:
             # the slope seen is lateral over vertical force
-            lean = _moving_tip(const, model, epochs, k, side, state).lean
+            lean = tips[side].lean
             residual_columns[Y_LEFT + side, const.common_bias_column] += lean / vertical_mps2[side]
             H[Y_LEFT + side, const.vertical_bias_state] -= lean / vertical_mps2[side] * const.bias_projection[side]
     lateral = epochs.lateral_mps2[k] + np.array([1.0, -1.0]) * force
