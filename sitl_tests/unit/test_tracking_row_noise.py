@@ -96,6 +96,12 @@ def test_it_forgets_within_seconds() -> None:
     assert np.all(learned(quiet).ratio < 1.3)
 
 
+def test_noise_of_a_line_that_is_taken_out_is_gone_after_three_looks() -> None:
+    quiet = white(np.sqrt(5.0)) + shared(1.0)
+    quiet[: -3 * STEPS] *= 30.0
+    assert np.all(learned(quiet).ratio < 1.5)
+
+
 def test_a_load_that_is_fitted_a_little_wrong_is_not_noise() -> None:
     """Where a hundredth of S is the sensor's, a tenth more of S would pass for ten times the noise."""
     assert np.all(learned(white(np.sqrt(1.1 * 404.0)), by_state=400.0).ratio == 1.0)

@@ -22,7 +22,7 @@ from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.states import ROOT_ERRORS, ROWS, SENSOR_ERRORS, SensorNoise, StateLayout
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
@@ -30,6 +30,7 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
+_PRODUCTS = ("shortening", "trim")
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
 # load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
@@ -74,13 +75,13 @@ class SeparatedBiasFilter:
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
         # as constants slope factors came out 3 to 4 sigma off: a wing's bend is never that of its named modes alone
-        wandering = [layout.column(name) for name in (*_WANDERING, *self._slopes())]
-        self._wandering = np.array([column for column in wandering if column is not None], np.int64)
+        self._wandering = self._columns([*_WANDERING, *self._slopes()])
+        self._untold: list[str] = []  # considered as long as tips are shaken or mute
         self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
         self._consider(_CONSIDERED)
         if self._bend_is_calibrated():
             self._consider(["bend_per_g"])
-        self._consider_scales(layout.mute_tips)
+        self._consider_scales((False, False))
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
         self._steps_since_solution = self.steps = 0
@@ -124,19 +125,39 @@ class SeparatedBiasFilter:
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
-    def _consider_scales(self, tips: tuple[bool, bool]) -> None:
-        """Consider the scales of these tips, and the slope factors of all modes.
+    def _consider_scales(self, shaken: tuple[bool, bool]) -> None:
+        """Consider what shaken and mute tips cannot tell, and estimate what tips that are still again can.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
-        contradict each other by it, and every scale that is learned from these comes out small.
+        contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
+        shortening's too; and by its product with the bend the latter teaches the trim.
         """
-        places = [place for place, considered in zip(("left", "right"), tips, strict=True) if considered]
-        scales = [f"{place}.{scale}" for place in places for scale in _SCALES]
-        self._consider([*scales, *self._slopes()] if places else [])
+        tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
+        places = [place for place, *reasons in tips if any(reasons)]
+        names = [f"{place}.{scale}" for place in places for scale in _SCALES]
+        names += self._slopes() if places else []
+        names += _PRODUCTS if any(shaken) else []
+        self._estimate_again([name for name in self._untold if name not in names])
+        self._consider(names)
+        self._untold = names
+
+    def _estimate_again(self, names: list[str]) -> None:
+        """Estimate considered bias parameters from here on."""
+        if not names:
+            return
+        self.reset_bias_parameters(names)
+        again = self._columns(names)
+        self._considered = np.setdiff1d(self._considered, again - 1)
+        self._estimated = np.union1d(self._estimated, again - 1)
+        self._wandering = np.union1d(self._wandering, self._columns([name for name in names if name in self._slopes()]))
 
     def _slopes(self) -> list[str]:
         """Names of the slope factors."""
         return [f"slope.{name}" for family in self.layout.families for name in family.names]
+
+    def _columns(self, names: Collection[str]) -> Ints:
+        """Columns of those of these bias parameters that there are."""
+        return np.array([column for name in names if (column := self.layout.column(name)) is not None], np.int64)
 
     def _bend_is_calibrated(self) -> bool:
         """Whether the airframe knows the bend per g to a few per cent."""
@@ -242,7 +263,7 @@ class SeparatedBiasFilter:
         )
         before = len(self._considered)
         self._consider_scales(noise.shaken)
-        if len(self._considered) > before:
+        if len(self._considered) != before:
             self._solve_bias_parameters()
 
     def run(self, epochs: Epochs) -> None:

@@ -32,6 +32,8 @@ _MIN_BEYOND = 0.3  # chosen, of v: a load's fit is as wrong
 _CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
 _MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others shows where it is large
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
+_FALLEN = 0.25  # chosen, of a variance: where lines are taken out of a stream, its noise falls at once
+_FALLEN_MEMORY = 0.9  # chosen: a look is right to a tenth of the noise that it is made with
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
 _SHAKEN_RATIO = 1.5  # chosen: 1.01 at most by sensors as believed, 4 to 40 by broadband vibration (bench world)
 _LEARNED = range(Y_LEFT, ROWS)  # rows
@@ -130,7 +132,9 @@ class RowNoise:
         equations = coupling**2 / strength[:, None]
         excess = nonnegative_least_squares(equations, np.maximum(beyond + equations @ (now - believed), 0.0))
         learned = self._all()
-        learned[present] = np.clip(now + _MEMORY * (believed + excess - now), believed, _MAX_RATIO * believed)
+        target = believed + excess
+        memory = np.where(target < _FALLEN * now, _FALLEN_MEMORY, _MEMORY)
+        learned[present] = np.clip(now + memory * (target - now), believed, _MAX_RATIO * believed)
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
 
 
