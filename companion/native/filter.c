@@ -13,6 +13,7 @@
 #define LOAD_VARIANCE_RATIO 2.0
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
+#define STRUCK_SIGMAS 3.0
 
 /* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
  * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
@@ -35,7 +36,7 @@ typedef struct {
     const array *H, *Q, *cross_cov, *process_noise_in_rows, *linearisation_rows;
     double aliasing_variance;
     int64_t moments_beside_gyro;
-    const array *lift_acceleration_variance;
+    const array *lift_acceleration_variance, *motion_covariance;
 } model_record;
 
 typedef struct {
@@ -63,7 +64,7 @@ typedef struct {
 
     const model_record *model;
     const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *linearisation_rows,
-        *lift_acceleration_variance;
+        *lift_acceleration_variance, *motion_covariance;
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
 
@@ -527,6 +528,20 @@ static void propagate_covariance(run *f, double noise_inflation, const double *c
             P[j * n + i] = P[i * n + j];
 }
 
+/* Whether the root is struck: it does not resolve its motion, and neither that nor a gust explains what the tips show.
+ * The static bend of such a load factor is none, and the state is wrong by it. */
+static bool is_struck(const run *f, int64_t k)
+{
+    double by_root = (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+    for (int side = 0; side < 2; side++) {
+        int64_t r = f->position[Z_LEFT + side];
+        if (r < 0 || by_root <= 0.5 * f->predicted_variance[r] ||
+            squared(f->innovation[r]) < squared(STRUCK_SIGMAS) * f->predicted_variance[r])
+            return false;
+    }
+    return true;
+}
+
 /* Predict, gate, update and propagate through epoch k; false where the numbers have run away. */
 static bool step(run *f, int64_t k, int64_t slot)
 {
@@ -568,6 +583,8 @@ static bool step(run *f, int64_t k, int64_t slot)
                         gated ? 0 : f->count);
     propagate_state(f, cross_cov, innovation);
     propagate_covariance(f, noise_inflation, cross_cov);
+    if (is_struck(f, k))
+        add_scaled(f->covariance, f->motion_covariance, 1.0, n * n);
     return true;
 }
 
@@ -611,6 +628,7 @@ static bool read_model(const model_record *record, run *f)
     f->process_noise = reals(record->process_noise_in_rows, 2, &good);
     f->linearisation_rows = reals(record->linearisation_rows, 2, &good);
     f->lift_acceleration_variance = reals(record->lift_acceleration_variance, 1, &good);
+    f->motion_covariance = reals(record->motion_covariance, 2, &good);
     f->entries = extent(record->value, 0);
     f->linearised_rows = extent(record->linearisation_rows, 0);
     return good && extent(record->static_input, 0) == n && has_shape(record->H, ROWS, n + 1, -1) &&
@@ -618,7 +636,8 @@ static bool read_model(const model_record *record, run *f)
            has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
            extent(record->linearisation_rows, 1) == n + 1 &&
            f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&
-           extent(record->lift_acceleration_variance, 0) == f->ranks && record->transition_index < f->h.transitions;
+           extent(record->lift_acceleration_variance, 0) == f->ranks &&
+           has_shape(record->motion_covariance, n, n, -1) && record->transition_index < f->h.transitions;
 }
 
 static bool read_epochs(const epochs_record *record, int64_t last, run *f)

@@ -12,6 +12,7 @@ from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import build_model
 from companion.core.tracking.parameters import ModeParameters, prior_parameters
+from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.states import ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -97,6 +98,25 @@ def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, mome
             np.testing.assert_allclose(result, expected, atol=1e-9 * max(np.abs(expected).max(initial=0.0), 1e-6))
 
 
+@pytest.mark.parametrize(("root_mps2", "forgotten"), [(0.0, False), (8.0, True)])
+def test_a_struck_root_leaves_nothing_known_of_the_motion_before(root_mps2: float, forgotten: bool) -> None:
+    """The same 90 m/s^2 at both tips: beside a root that has not moved a gust explains them."""
+    compiled, plain = _filter(), _filter()
+    epochs, at = _epochs(compiled, 0.0), 30
+    rows, root = epochs.rows.copy(), np.zeros_like(epochs.root_motion_variance)
+    rows[:at] = _flown(compiled)[:at]
+    rows[at, Z_LEFT : Z_LEFT + 2], root[at, 0] = 90.0, root_mps2**2
+    epochs = epochs._replace(rows=rows, root_motion_variance=root)
+    for kalman, kernel in ((compiled, kernel_loops), (plain, kernel_numpy)):
+        assert kernel.filter_epochs(
+            *_kernel_arguments(kalman)[:2], epochs, *_kernel_arguments(kalman)[2:], 0, at + 1, 0
+        )
+    np.testing.assert_allclose(compiled.covariance, plain.covariance, rtol=1e-6, atol=1e-12)
+    q = compiled.layout.symmetric.q
+    by_gust = compiled._discrete_model.motion_covariance[q, q]
+    assert (compiled.covariance[q, q] > by_gust) == forgotten
+
+
 def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     """The lateral axis shows the slope as ``arctan(y / z)``, with the bias in ``z``."""
     kalman = _filter(EXACT_SCALES)
@@ -148,6 +168,27 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
         assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
+
+
+def test_what_a_shaken_tip_cannot_tell_is_estimated_again_when_it_is_still() -> None:
+    kalman = _filter()
+    names, size = np.array(kalman.layout.bias_parameters), kalman.layout.size
+    kalman.run(_epochs(kalman, 0.0))
+    estimated, wandering = kalman._estimated, kalman._wandering
+    still, shaken = RowNoise(kalman.noise), RowNoise(kalman.noise)
+    shaken.variance[Y_LEFT] *= 9.0
+    kalman.take_noise(shaken)
+    left_out = set(names[estimated]) - set(names[kalman._estimated])
+    assert {"left.kz", "left.ky", "left.kp", "trim", "shortening", "slope.symmetric"} <= left_out
+    assert not any(name.startswith("right") for name in left_out)
+    assert np.all(kalman.bias_parameters[np.isin(names, list(left_out))] == 0.0)
+    kalman.take_noise(still)
+    np.testing.assert_array_equal(kalman._estimated, estimated)
+    np.testing.assert_array_equal(kalman._wandering, wandering)
+    back = np.isin(names, list(left_out))
+    at_prior = np.sqrt(np.diag(kalman.bias_parameter_covariance))[back] / kalman.layout.bias_parameter_sigma[back]
+    assert at_prior == pytest.approx(1.0), "what was learned beside vibration is forgotten"
+    np.testing.assert_array_equal(kalman.state_and_sensitivity[:size, 1:][:, back], 0.0)
 
 
 def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:

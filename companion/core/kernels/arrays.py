@@ -7,7 +7,8 @@ likelihood and smoother follow as products.
 Process and measurement noise have heavy tails. An innovation of a vertical row beyond the gate raises the process noise
 of that step until the innovation lies on the gate: the state follows a blow, and its covariance says so. Any other row
 beyond the gate is given the variance that puts it on the gate (Huber). The bias parameters learn nothing from such a
-step. Its normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow of 20 ms is no
+step. Where the root is struck, nothing of modes and loads is known from before: the load factor then measured bends no
+wing. Its normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow of 20 ms is no
 contradiction of the model, a lasting one is.
 """
 
@@ -26,6 +27,7 @@ GATE_SIGMAS = 5.0  # convention: a Gaussian innovation lies beyond once in 1.7 m
 LOAD_VARIANCE_RATIO = 2.0  # chosen: variance of the wing's load per variance of a shaken root's vertical force
 MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
 MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below validity.NIS_LIMIT over a second
+STRUCK_SIGMAS = 3.0  # chosen: of both tips' vertical rows, beside a root whose motion makes up half of their variance
 _Array = TypeVar("_Array", bound=Any)
 _TRANSITIONS = 8  # derived: parameters change once a second, and a history holds little more than one second
 
@@ -189,6 +191,8 @@ class DiscreteModel(NamedTuple):
         Whether first moments are used even where the tip has a gyro.
     lift_acceleration_variance : (r,) float64
         Variance, by the load inside the step, of the mean acceleration of a tip's lift by each rank of modes.
+    motion_covariance : (n, n) float64
+        Added to the state's where the root is struck: nothing of modes and loads is known from before.
     """
 
     transition: Floats
@@ -205,6 +209,7 @@ class DiscreteModel(NamedTuple):
     aliasing_variance: float
     moments_beside_gyro: bool
     lift_acceleration_variance: Floats
+    motion_covariance: Floats
 
 
 class FilterState(NamedTuple):

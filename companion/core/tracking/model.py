@@ -146,6 +146,21 @@ def build_model(
     )
 
 
+def motion_covariance(layout: StateLayout, model: DiscreteWingModel) -> Floats:
+    """Covariance (n, n) of modes and loads of a wing that has been in this gust for ever; zero for all other states.
+
+    Raises
+    ------
+    ValueError
+        If a mode is not stable.
+    """
+    covariance = np.zeros((layout.size, layout.size))
+    for family in layout.families:
+        block = (family.span, family.span)
+        covariance[block] = stationary_covariance(model.transition[block], model.noise[block])
+    return covariance
+
+
 def stationary(layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel) -> Floats:
     """Prior covariance of the state: a wing that has been in this gust for ever, biases at their prior.
 
@@ -167,10 +182,7 @@ def stationary(layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel
     ValueError
         If a mode is not stable.
     """
-    covariance = np.zeros((layout.size, layout.size))
-    for family in layout.families:
-        block = (family.span, family.span)
-        covariance[block] = stationary_covariance(model.transition[block], model.noise[block])
+    covariance = motion_covariance(layout, model)
     covariance[layout.roll_rate, layout.roll_rate], covariance[layout.roll_accel, layout.roll_accel] = (
         _ROLL_SIGMA_RADPS**2,
         _ROLL_ACCEL_SIGMA_RADPS2**2,

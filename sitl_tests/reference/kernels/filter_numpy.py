@@ -17,6 +17,7 @@ from companion.core.kernels.arrays import (
     LOAD_VARIANCE_RATIO,
     MAX_NOISE_INFLATION,
     MAX_STEP_NIS,
+    STRUCK_SIGMAS,
     DiscreteModel,
     Epochs,
     FilterConstants,
@@ -130,6 +131,10 @@ def _filter_step(
         - whitened_cross_cov.T @ whitened_cross_cov
     )
     covariance[:] = 0.5 * (covariance_after + covariance_after.T)
+    up = used < M_LEFT
+    by_tip = (by_root[used] > 0.5 * predicted_variance) & (row_innovation**2 >= STRUCK_SIGMAS**2 * predicted_variance)
+    if up.sum() == 2 and by_tip[up].all():  # the root is struck
+        covariance += model.motion_covariance
     return True
 
 
