@@ -46,11 +46,11 @@ typedef struct {
 /* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: its derivatives by roll rate and
  * acceleration and by each rank's lift, lift rate and lift acceleration, itself, what a linear form of these leaves of
  * the slope row, the part of the force by the way inboard, what a unit of force adds to the row, what tilt and force
- * read together, the force's variance by accelerations of higher modes that are not expected, and the force as it is
- * expected without the measured acceleration, for the row that measures it. */
+ * read together, the force's variance by accelerations of higher modes that are not expected, the force as it is
+ * expected without the measured acceleration, for the row that measures it, and its derivative by that. */
 typedef struct {
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
-        force, rest, inboard, gain, lean, variance, expected;
+        force, rest, inboard, gain, lean, variance, expected, per_measured;
 } moving_tip;
 
 /* Everything of a run as plain pointers, and scratch arrays of one step. `used` are the numbers of the used rows,
@@ -175,6 +175,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += (1.0 - of_first * f->lever_m[side]) * lift; /* it lifts the tip as well */
+        tip.per_measured -= of_first * lift;
         tip.inboard -= by_lift * lift + (by_rate + by_moment) * rates[a];
         tip.force += p_dot * lift + 2.0 * p * rates[a];
         tip.expected += p_dot * lift + 2.0 * p * start[a * EACH_RANK];
@@ -346,7 +347,9 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
         bool lateral = Y_LEFT <= row && row < P_LEFT;
         f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
         if (lateral)
-            f->S[r][r] += noise_inflation * f->tip[row - Y_LEFT].variance * squared(gain[row - Y_LEFT]);
+            f->S[r][r] += (noise_inflation * f->tip[row - Y_LEFT].variance +
+                           squared(f->tip[row - Y_LEFT].per_measured) * motion[0]) *
+                          squared(gain[row - Y_LEFT]);
         if (row < M_LEFT)
             f->S[r][r] += noise_inflation * f->model->aliasing_variance * f->aliasing_noise[2 * k + row];
         if (row == P_ROOT)

@@ -257,6 +257,7 @@ class _MovingTip(NamedTuple):
     rest: float
     inboard: float
     variance_mps2_2: float
+    per_measured: float
     lean: float
     expected_mps2: float
 
@@ -298,7 +299,13 @@ def _moving_tip(
     gain /= 1.0 + lean**2
     variance = float(per_accel**2 @ model.lift_acceleration_variance)
     return _MovingTip(
-        gain * row, math.atan(lean) - read + gain * float(row @ state), -gain * along, variance, predicted, expected
+        gain * row,
+        math.atan(lean) - read + gain * float(row @ state),
+        -gain * along,
+        variance,
+        -float(lift @ K[:, 0]),
+        predicted,
+        expected,
     )
 
 
@@ -320,8 +327,10 @@ def _measurement_noise(
         epochs.lateral_gain[k],
         epochs.root_motion_variance[k],
     )
-    moving = [_moving_tip(const, model, epochs, k, side, state).variance_mps2_2 for side in (0, 1)]
-    variance[Y_LEFT:P_LEFT] = (variance[Y_LEFT:P_LEFT] + noise_inflation * np.array(moving)) * gain**2
+    tips = [_moving_tip(const, model, epochs, k, side, state) for side in (0, 1)]
+    moving = noise_inflation * np.array([tip.variance_mps2_2 for tip in tips])
+    moving += np.array([tip.per_measured for tip in tips]) ** 2 * root_motion_variance[0]
+    variance[Y_LEFT:P_LEFT] = (variance[Y_LEFT:P_LEFT] + moving) * gain**2
     variance[Z_LEFT:M_LEFT] += noise_inflation * model.aliasing_variance * epochs.aliasing_noise[k]
     variance[P_ROOT] += root_motion_variance[2]
     out[range(ROWS), range(ROWS)] += variance
