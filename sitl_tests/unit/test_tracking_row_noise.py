@@ -102,6 +102,20 @@ def test_noise_of_a_line_that_is_taken_out_is_gone_after_three_looks() -> None:
     assert np.all(learned(quiet).ratio < 1.5)
 
 
+def test_one_loud_look_is_no_vibration_and_one_quiet_look_no_end_of_it() -> None:
+    quiet, loud = np.sqrt(5.0), np.sqrt(4.0 * 2.2**2 + 1.0)
+    noise, shaken = RowNoise(BELIEVED), []
+    for k, sigma in enumerate([quiet, loud, quiet, quiet, loud, loud, quiet, quiet, quiet, quiet]):
+        S = predicted(noise, 1.0)
+        covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (STEPS, ROWS, ROWS))
+        rng = np.random.default_rng(k)
+        noise.learn(sigma * rng.standard_normal((STEPS, ROWS)) * SCALE, covariance)
+        shaken.append(noise.shaken[0])
+    assert shaken[:5] == [False] * 5
+    assert shaken[5]
+    assert not shaken[-1]
+
+
 def test_a_load_that_is_fitted_a_little_wrong_is_not_noise() -> None:
     """Where a hundredth of S is the sensor's, a tenth more of S would pass for ten times the noise."""
     assert np.all(learned(white(np.sqrt(1.1 * 404.0)), by_state=400.0).ratio == 1.0)

@@ -142,10 +142,11 @@ class SeparatedBiasFilter:
         self._untold = names
 
     def _estimate_again(self, names: list[str]) -> None:
-        """Estimate considered bias parameters from here on."""
+        """Estimate considered bias parameters from here on, and all others anew, which were estimated beside them."""
         if not names:
             return
-        self.reset_bias_parameters(names)
+        others = [self.layout.bias_parameters[at] for at in self._estimated]
+        self.reset_bias_parameters([*others, *names])
         again = self._columns(names)
         self._considered = np.setdiff1d(self._considered, again - 1)
         self._estimated = np.union1d(self._estimated, again - 1)

@@ -52,6 +52,8 @@ class RowNoise:
         As ``SensorNoise.root_y_variance``.
     root_z_variance : float
         As ``SensorNoise.root_z_variance``.
+    shaken : (bool, bool)
+        Whether the left and the right tip show more noise than their sensors have, as vibration does.
     """
 
     def __init__(self, believed: SensorNoise) -> None:
@@ -61,6 +63,8 @@ class RowNoise:
         self._believed_vertical = believed.sensor_variance[:Y_LEFT].copy(), believed.root_z_variance
         self._columns = _columns()
         self._believed = self._all()
+        self.shaken = (False, False)
+        self._above: Bools = np.zeros(2, np.bool_)  # as the last look has it
         self._beyond = np.zeros(len(self._believed))  # C_0 - C_1 over v, less one, of the last look
 
     def _all(self) -> Floats:
@@ -72,12 +76,12 @@ class RowNoise:
         """Standard deviation of each learned source over the believed one, (6,)."""
         return np.asarray(np.sqrt(self._all() / self._believed))
 
-    @property
-    def shaken(self) -> tuple[bool, bool]:
-        """Whether the left and the right tip show more noise than their sensors have, as vibration does."""
+    def _take_shaken(self) -> None:
+        """Compare the tips' noise with their sensors': two looks at once tell vibration, and two stillness."""
         lateral_and_roll = self.ratio[: P_ROOT - Y_LEFT].reshape(2, 2)
-        left, right = np.any(lateral_and_roll > _SHAKEN_RATIO, axis=0).tolist()
-        return left, right
+        before, self._above = self._above, np.any(lateral_and_roll > _SHAKEN_RATIO, axis=0)
+        left, right = np.where(before == self._above, self._above, self.shaken).tolist()
+        self.shaken = (left, right)
 
     def take_vertical(self, tips: float, root: float) -> None:
         """Take the vertical axes' noise as the spectral fit has it, as ratios of variance to the believed one."""
@@ -115,6 +119,7 @@ class RowNoise:
         variance = np.minimum(square, half_change)
         beyond = variance / strength / _MEDIAN_OF_SQUARE - 1.0
         self._take(present, coupling, self._credible(present, beyond, strength))
+        self._take_shaken()
 
     def _credible(self, present: Bools, beyond: Floats, strength: Floats) -> Floats:
         """``beyond`` without what may be chance, or may be a small share of what hides the source."""
