@@ -166,24 +166,12 @@ def test_a_burst_of_20_ms_costs_no_trust(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("peak_mps2", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("peak_mps2", [1.0, 3.0, 10.0, -10.0])
 def test_a_blow_that_the_wing_answers_costs_no_trust(peak_mps2: float) -> None:
     plan = dataclasses.replace(demo_plan(END_S + 1.0), jolts=(Jolt(STRUCK_S, peak_mps2),))
     following = Following(build_flight(load_airframe("nadir-2m"), 6, END_S + 1.0, plan=plan))
     following.fly(STRUCK_S - 0.05)
     following.fly(END_S).check()
-
-
-@pytest.mark.slow
-def test_a_blow_of_10_mps2_downwards_costs_no_trust_though_slopes_err_by_five_sigmas() -> None:
-    """The share of the second mode in the tips' acceleration, which the way inboard needs, is not what a gust's is."""
-    plan = dataclasses.replace(demo_plan(END_S + 1.0), jolts=(Jolt(STRUCK_S, -10.0),))
-    following = Following(build_flight(load_airframe("nadir-2m"), 6, END_S + 1.0, plan=plan))
-    following.fly(STRUCK_S - 0.05)
-    flown = following.fly(END_S)
-    assert set(flown.distrust) == {None}
-    assert np.abs(np.array(flown.error) / np.array(flown.sigma)).max() < 5.0
-    assert np.abs(flown.error).max() < 0.0015
 
 
 @pytest.mark.slow
