@@ -113,7 +113,7 @@ def test_outliers_of_noise_get_the_strength_that_their_chance_is_worth() -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("snr_db", "step_mps2"), [(20.0, 8.0), (10.0, 14.0)])
+@pytest.mark.parametrize(("snr_db", "step_mps2"), [(20.0, 8.0), pytest.param(10.0, 14.0, marks=pytest.mark.long)])
 def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name(snr_db: float, step_mps2: float) -> None:
     (tables,) = fly([Hidden({"quantisation": step_mps2})], snr_db, 77, 20.0)
     model = model_of(tables, parse_airframe(airframe_text(noise_density(snr_db)), "trial"))
@@ -164,7 +164,9 @@ def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sign", "how"), [(1.0, "both sides together"), (-1.0, "side against side")])
+@pytest.mark.parametrize(
+    ("sign", "how"), [(1.0, "both sides together"), pytest.param(-1.0, "side against side", marks=pytest.mark.long)]
+)
 def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: str) -> None:
     rng, up = np.random.default_rng(4), drawn(TEXT, 4)
     f_hz = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)

@@ -104,7 +104,10 @@ def test_play_keeps_the_first_part_of_every_reversal_from_the_cameras() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("hidden", "size"), [("clock-step", 0.004), ("crosstalk", 0.15), ("mount-play", 0.002)])
+@pytest.mark.parametrize(
+    ("hidden", "size"),
+    [pytest.param("clock-step", 0.004, marks=pytest.mark.long), ("crosstalk", 0.15), ("mount-play", 0.002)],
+)
 def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None:
     assert diagnosed(4711, **{hidden: size}).verdict is DiagnosisVerdict.UNEXPLAINED
 
@@ -112,7 +115,11 @@ def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "size"),
-    [("clock-skew", 0.01), ("mount-lag", 0.0025), pytest.param("stream-delay", 0.003, marks=pytest.mark.long)],
+    [
+        ("clock-skew", 0.01),
+        pytest.param("mount-lag", 0.0025, marks=pytest.mark.long),
+        pytest.param("stream-delay", 0.003, marks=pytest.mark.long),
+    ],
 )
 def test_names_stand_against_their_rivals(hidden: str, size: float) -> None:
     label = hide([], (8.0, 14.0), np.random.default_rng(12))
