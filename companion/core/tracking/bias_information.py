@@ -56,7 +56,7 @@ def marginalise(
     sensitivity_column = state_and_sensitivity[:-1, column].copy()
     state_and_sensitivity[:-1, others] -= np.outer(sensitivity_column, regression)
     covariance += np.outer(sensitivity_column, sensitivity_column) / strength
-    state_and_sensitivity[:, column] = 0.0
+    state_and_sensitivity[:-1, column] = 0.0
 
 
 def solve_parameters(

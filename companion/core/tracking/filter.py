@@ -30,7 +30,7 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-_PRODUCTS = ("shortening", "trim")
+_TAUGHT_FALSELY = ("shortening", "trim")  # by a shaken tip, whose vertical vibration its lateral axis shares
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
 # load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
@@ -76,7 +76,7 @@ class SeparatedBiasFilter:
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
         # as constants slope factors came out 3 to 4 sigma off: a wing's bend is never that of its named modes alone
         self._wandering = self._columns([*_WANDERING, *self._slopes()])
-        self._untold: list[str] = []  # considered as long as tips are shaken or mute
+        self._considered_now: list[str] = []  # as long as tips are shaken or mute
         self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
         self._consider(_CONSIDERED)
         if self._bend_is_calibrated():
@@ -85,6 +85,8 @@ class SeparatedBiasFilter:
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
         self._steps_since_solution = self.steps = 0
+        self._by_parameters = 0.0  # of the NIS's sum, by the covariance of those that a flight may teach
+        self._teachable = np.setdiff1d(np.arange(c), self._considered)
         self.finite = True
         self._filter_state = FilterState(
             self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
@@ -106,6 +108,7 @@ class SeparatedBiasFilter:
         other._filter_state = FilterState(
             other.state_and_sensitivity, other.covariance, accumulated, other._one_and_bias, np.zeros(2)
         )
+        other._by_parameters = 0.0
         other.history = make_history(1, self.layout.size, len(self.bias_parameters), ROWS)
         other.steps = 0
         if model is not self.model:
@@ -125,28 +128,30 @@ class SeparatedBiasFilter:
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
-    def _consider_scales(self, shaken: tuple[bool, bool]) -> None:
-        """Consider what shaken and mute tips cannot tell, and estimate what tips that are still again can.
+    def _consider_scales(self, shaken: tuple[bool, bool]) -> bool:
+        """Consider what shaken and mute tips cannot tell, and estimate what tips that are still again can; whether any.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
         shortening's too; and by its product with the bend the latter teaches the trim.
         """
         tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
-        places = [place for place, *reasons in tips if any(reasons)]
+        places = [place for place, loud, mute in tips if loud or mute]
         names = [f"{place}.{scale}" for place in places for scale in _SCALES]
         names += self._slopes() if places else []
-        names += _PRODUCTS if any(shaken) else []
-        self._estimate_again([name for name in self._untold if name not in names])
+        names += _TAUGHT_FALSELY if any(shaken) else []
+        names = [name for name in names if name in self.layout.bias_parameters]
+        again = [name for name in self._considered_now if name not in names]
+        if again:
+            self._estimate_again(again)
         self._consider(names)
-        self._untold = names
+        self._considered_now = names
+        return bool(again)
 
     def _estimate_again(self, names: list[str]) -> None:
         """Estimate considered bias parameters from here on, and all others anew, which were estimated beside them."""
-        if not names:
-            return
         others = [self.layout.bias_parameters[at] for at in self._estimated]
-        self.reset_bias_parameters([*others, *names])
+        self.reset_bias_parameters([*others, *names])  # in this order: the others hang on the considered ones
         again = self._columns(names)
         self._considered = np.setdiff1d(self._considered, again - 1)
         self._estimated = np.union1d(self._estimated, again - 1)
@@ -237,8 +242,15 @@ class SeparatedBiasFilter:
     def nis(self) -> float:
         """Mean normalised innovation squared of a row over the last second, steps bounded.
 
-        1 where the model is right (Bar-Shalom, Li, Kirubarajan 2001, section 5.4, as a ratio per row).
+        Normalised by all that is not known, bias parameters included: 1 where the model is right (Bar-Shalom, Li,
+        Kirubarajan 2001, section 5.4, as a ratio per row).
         """
+        square, count = self._filter_state.nis_sums.tolist()
+        return square / (count + self._by_parameters) if count > 0.0 else 1.0
+
+    @property
+    def nis_of_known_wing(self) -> float:
+        """The same as if the bias parameters were known: a blow, too, moves what they may explain."""
         square, count = self._filter_state.nis_sums.tolist()
         return square / count if count > 0.0 else 1.0
 
@@ -251,30 +263,46 @@ class SeparatedBiasFilter:
         return gate_excess
 
     def innovations(self, count: int) -> tuple[Floats, Floats]:
-        """Innovations (count, 9) of the newest steps and their predicted covariance (count, 9, 9), lower half."""
-        slots = np.arange(self.steps - count, self.steps) % self.history_length
-        return self.history.innovation[slots], self.history.innovation_covariance[slots]
+        """Innovations (count, 9) of the newest steps and their covariance (count, 9, 9), lower half.
 
-    def take_noise(self, noise: RowNoise) -> None:
-        """Go on with other variances of the rows and of the root's axes that both tips' rows share."""
+        ``S + D P_c D^T``: by noise, state and bias parameters, whose share would pass for noise.
+        """
+        P_c = self.bias_parameter_covariance[np.ix_(self._teachable, self._teachable)]
+        slots = np.arange(self.steps - count, self.steps) % self.history_length
+        covariance = self.history.innovation_covariance[slots]
+        present = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
+        for used in np.unique(present, axis=0):
+            at, rows = np.flatnonzero((present == used).all(axis=1)), np.flatnonzero(used)
+            block = np.ix_(at, rows, rows)
+            whitened = self.history.whitened_innovation[slots[at], : len(rows)][:, :, self._teachable + 1]
+            D = np.linalg.cholesky(covariance[block]) @ whitened
+            covariance[block] += np.tril(D @ P_c @ D.swapaxes(1, 2))
+        return self.history.innovation[slots], covariance
+
+    def take_noise(self, noise: RowNoise) -> bool:
+        """Go on with other variances of the rows and of the root's axes; whether bias parameters begin anew."""
         self._constants = self._constants._replace(
             sensor_variance=noise.variance.copy(),
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
-        before = len(self._considered)
-        self._consider_scales(noise.shaken)
-        if len(self._considered) != before:
-            self._solve_bias_parameters()
+        again = self._consider_scales(noise.shaken)
+        self._solve_bias_parameters()
+        return again
 
     def run(self, epochs: Epochs) -> None:
         """Filter a run of epochs."""
         first = 0
         while first < epochs.length and self.finite:
             last = min(epochs.length, first + _SOLVE_EVERY - self._steps_since_solution)
+            before = self._filter_state.information.copy()
             self.finite = filter_epochs(
                 self._constants, self._discrete_model, epochs, self._filter_state, self.history, first, last, self.steps
             )
+            at = np.ix_(self._teachable, self._teachable)
+            gained = (self._filter_state.information - before)[1:, 1:][at]
+            self._by_parameters *= (1.0 - self.model.step_s) ** (last - first)
+            self._by_parameters += float(np.sum(gained * self.bias_parameter_covariance[at]))
             self.steps += last - first
             self._steps_since_solution += last - first
             if self._steps_since_solution >= _SOLVE_EVERY:

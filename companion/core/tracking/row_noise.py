@@ -31,11 +31,14 @@ _MEDIAN_OF_SQUARE = 0.4549  # derived: of a unit Gaussian's square, the median o
 _MIN_BEYOND = 0.3  # chosen, of v: a load's fit is as wrong
 _CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
 _MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others shows where it is large
-_MEMORY = 0.6  # chosen: per second, a time constant of 2 s
-_FALLEN = 0.25  # chosen, of a variance: where lines are taken out of a stream, its noise falls at once
-_FALLEN_MEMORY = 0.9  # chosen: a look is right to a tenth of the noise that it is made with
+_MEMORY = 0.6  # chosen, of the difference, a second: two fifths of it remain
+# chosen, of a variance: where lines are taken out of a stream, its noise falls at once; and of all that hides it: a
+# look is right to a tenth of that
+_FALLEN = 0.25
+_FALLEN_MEMORY = 0.9  # chosen, for such a fall
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
 _SHAKEN_RATIO = 1.5  # chosen: 1.01 at most by sensors as believed, 4 to 40 by broadband vibration (bench world)
+_STILL_RATIO = 1.2  # chosen: below the other one, for a sensor between both stays what it is taken for
 _LEARNED = range(Y_LEFT, ROWS)  # rows
 
 _terms = kernel("noise_terms", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
@@ -64,7 +67,7 @@ class RowNoise:
         self._columns = _columns()
         self._believed = self._all()
         self.shaken = (False, False)
-        self._above: Bools = np.zeros(2, np.bool_)  # as the last look has it
+        self._loud: Bools = np.zeros(2, np.bool_)  # as the last look has it
         self._beyond = np.zeros(len(self._believed))  # C_0 - C_1 over v, less one, of the last look
 
     def _all(self) -> Floats:
@@ -76,12 +79,15 @@ class RowNoise:
         """Standard deviation of each learned source over the believed one, (6,)."""
         return np.asarray(np.sqrt(self._all() / self._believed))
 
-    def _take_shaken(self) -> None:
-        """Compare the tips' noise with their sensors': two looks at once tell vibration, and two stillness."""
-        lateral_and_roll = self.ratio[: P_ROOT - Y_LEFT].reshape(2, 2)
-        before, self._above = self._above, np.any(lateral_and_roll > _SHAKEN_RATIO, axis=0)
-        left, right = np.where(before == self._above, self._above, self.shaken).tolist()
-        self.shaken = (left, right)
+    def _compare(self, present: Bools, ratio: Floats) -> None:
+        """Compare what a look shows of the tips with their sensors: two at once tell vibration, and two stillness."""
+        shown = np.zeros(len(present))
+        shown[present] = ratio
+        largest = shown[: P_ROOT - Y_LEFT].reshape(2, 2).max(axis=0)
+        loud = (largest > _SHAKEN_RATIO) | (np.array(self.shaken) & (largest > _STILL_RATIO))
+        steady = (loud == self._loud) & (largest > 0.0)
+        left, right = np.where(steady, loud, self.shaken).tolist()
+        self.shaken, self._loud = (left, right), np.where(largest > 0.0, loud, self._loud)
 
     def take_vertical(self, tips: float, root: float) -> None:
         """Take the vertical axes' noise as the spectral fit has it, as ratios of variance to the believed one."""
@@ -119,7 +125,6 @@ class RowNoise:
         variance = np.minimum(square, half_change)
         beyond = variance / strength / _MEDIAN_OF_SQUARE - 1.0
         self._take(present, coupling, self._credible(present, beyond, strength))
-        self._take_shaken()
 
     def _credible(self, present: Bools, beyond: Floats, strength: Floats) -> Floats:
         """``beyond`` without what may be chance, or may be a small share of what hides the source."""
@@ -138,7 +143,9 @@ class RowNoise:
         excess = nonnegative_least_squares(equations, np.maximum(beyond + equations @ (now - believed), 0.0))
         learned = self._all()
         target = believed + excess
-        memory = np.where(target < _FALLEN * now, _FALLEN_MEMORY, _MEMORY)
+        self._compare(present, np.sqrt(target / believed))
+        fallen = (target < _FALLEN * now) & (1.0 / strength < now / _FALLEN)
+        memory = np.where(fallen, _FALLEN_MEMORY, _MEMORY)
         learned[present] = np.clip(now + memory * (target - now), believed, _MAX_RATIO * believed)
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
 

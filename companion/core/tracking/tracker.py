@@ -192,7 +192,7 @@ class WingTracker:
             self._activity.update(self._kalman, segment.length, self._step_s)
             vibration = self._activity.rms_m(), self._activity.recent_rms_m()
             passed_s = segment.length * self._step_s
-            if not self._adaptation.early and self._blow.update(self._kalman.nis, *vibration, passed_s):
+            if not self._adaptation.early and self._blow.update(self._kalman.nis_of_known_wing, *vibration, passed_s):
                 self._adaptation.begin_history()
             self._body_rates.extend(segment.body_rate_radps)
             if self._settings.adapt:
@@ -239,7 +239,8 @@ class WingTracker:
         """Take new parameters unless they make the measurements inconsistent."""
         self._readaptation = None
         self._row_noise = new.row_noise
-        self._kalman.take_noise(new.row_noise)
+        if self._kalman.take_noise(new.row_noise):
+            self._reopened_ns, self._manoeuvre_error = self._next_ns, ManoeuvreError()
         model = new.model
         if new.tried is not None:
             if remaining := self._trial_epochs[new.segments :]:
