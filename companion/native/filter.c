@@ -10,7 +10,7 @@
 
 #define LOAD_FACTOR_TIME_S 1.0  /* kernels/arrays.py has the reasons of all of these */
 #define GATE_SIGMAS 5.0
-#define LOAD_VARIANCE_RATIO 2.0
+#define LOAD_VARIANCE_RATIO 0.7
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
 #define STRUCK_SIGMAS 3.0
@@ -33,7 +33,8 @@ typedef struct {
 typedef struct {
     const array *transition, *static_input, *row, *col, *value;
     int64_t transition_index;
-    const array *H, *Q, *cross_cov, *process_noise_in_rows, *linearisation_rows;
+    const array *H, *Q, *cross_cov, *process_noise_in_rows, *load_noise, *load_cross_cov, *load_noise_in_rows,
+        *linearisation_rows;
     double aliasing_variance;
     int64_t moments_beside_gyro;
     const array *lift_acceleration_variance, *motion_covariance;
@@ -63,7 +64,8 @@ typedef struct {
     int64_t slope_factors, regressors;
 
     const model_record *model;
-    const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *linearisation_rows,
+    const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *load_noise, *load_cross_cov,
+        *load_noise_in_rows, *linearisation_rows,
         *lift_acceleration_variance, *motion_covariance;
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
@@ -342,7 +344,8 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
     for (int64_t r = 0; r < f->count; r++) {
         int64_t row = f->used[r];
         for (int64_t q = 0; q <= r; q++)
-            f->S[r][q] = noise_inflation * f->process_noise[row * ROWS + f->used[q]] +
+            f->S[r][q] = f->process_noise[row * ROWS + f->used[q]] +
+                         (noise_inflation - 1.0) * f->load_noise_in_rows[row * ROWS + f->used[q]] +
                          dot(f->HP + r * n, f->H + q * (n + 1), n);
         bool lateral = Y_LEFT <= row && row < P_LEFT;
         f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
@@ -446,7 +449,7 @@ static double inflate_process_noise(const run *f, double before)
         if (row >= M_LEFT || !(squared(f->whitened[r]) > squared(GATE_SIGMAS)))
             continue;
         double uncovered = squared(f->innovation[r]) - squared(GATE_SIGMAS) * f->predicted_variance[r];
-        inflation = most(inflation, before + uncovered / f->process_noise[row * ROWS + row]);
+        inflation = most(inflation, before + uncovered / f->load_noise_in_rows[row * ROWS + row]);
     }
     return least(inflation, MAX_NOISE_INFLATION);
 }
@@ -457,9 +460,10 @@ static void find_cross_covariance(const run *f, double noise_inflation, double *
     int64_t n = f->h.n;
     for (int64_t r = 0; r < f->count; r++) {
         const double *noise = f->cross_cov + f->used[r] * n, *HP = f->HP + r * n;
+        const double *by_load = f->load_cross_cov + f->used[r] * n;
         double *row = out + r * n;
         for (int64_t i = 0; i < n; i++)
-            row[i] = noise_inflation * noise[i];
+            row[i] = noise[i] + (noise_inflation - 1.0) * by_load[i];
         for (int64_t e = 0; e < f->entries; e++)
             row[f->row[e]] += f->value[e] * HP[f->col[e]];
     }
@@ -518,7 +522,7 @@ static void propagate_covariance(run *f, double noise_inflation, const double *c
             product[j * n + i] = kept;
         }
     for (int64_t i = 0; i < n * n; i++)
-        P[i] = noise_inflation * f->Q[i];
+        P[i] = f->Q[i] + (noise_inflation - 1.0) * f->load_noise[i];
     add_transition_product(f, product, n, P);
     double factors[ROWS];
     for (int64_t i = 0; i < n; i++) {
@@ -562,7 +566,8 @@ static bool step(run *f, int64_t k, int64_t slot)
     linearise_rows(f, k);
     find_innovation(f, k, innovation);
     project_covariance(f);
-    double shaken = LOAD_VARIANCE_RATIO * f->root_motion_variance[3 * k] / f->process_noise[Z_LEFT * ROWS + Z_LEFT];
+    double by_load = f->load_noise_in_rows[Z_LEFT * ROWS + Z_LEFT];
+    double shaken = LOAD_VARIANCE_RATIO * f->root_motion_variance[3 * k] / by_load;
     double noise_inflation = least(1.0 + shaken, MAX_NOISE_INFLATION);
     find_innovation_covariance(f, k, noise_inflation);
     sum_innovation(f, slot);
@@ -629,6 +634,9 @@ static bool read_model(const model_record *record, run *f)
     f->Q = reals(record->Q, 2, &good);
     f->cross_cov = reals(record->cross_cov, 2, &good);
     f->process_noise = reals(record->process_noise_in_rows, 2, &good);
+    f->load_noise = reals(record->load_noise, 2, &good);
+    f->load_cross_cov = reals(record->load_cross_cov, 2, &good);
+    f->load_noise_in_rows = reals(record->load_noise_in_rows, 2, &good);
     f->linearisation_rows = reals(record->linearisation_rows, 2, &good);
     f->lift_acceleration_variance = reals(record->lift_acceleration_variance, 1, &good);
     f->motion_covariance = reals(record->motion_covariance, 2, &good);
@@ -636,6 +644,8 @@ static bool read_model(const model_record *record, run *f)
     f->linearised_rows = extent(record->linearisation_rows, 0);
     return good && extent(record->static_input, 0) == n && has_shape(record->H, ROWS, n + 1, -1) &&
            has_shape(record->Q, n, n, -1) && has_shape(record->cross_cov, ROWS, n, -1) &&
+           has_shape(record->load_noise, n, n, -1) && has_shape(record->load_cross_cov, ROWS, n, -1) &&
+           has_shape(record->load_noise_in_rows, ROWS, ROWS, -1) &&
            has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
            extent(record->linearisation_rows, 1) == n + 1 &&
            f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&

@@ -7,9 +7,9 @@ likelihood and smoother follow as products.
 Process and measurement noise have heavy tails. An innovation of a vertical row beyond the gate raises the process noise
 of that step until the innovation lies on the gate: the state follows a blow, and its covariance says so. Any other row
 beyond the gate is given the variance that puts it on the gate (Huber). The bias parameters learn nothing from such a
-step. Where the root is struck, nothing of modes and loads is known from before: the load factor then measured bends no
-wing. Its normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow of 20 ms is no
-contradiction of the model, a lasting one is.
+step. Where the root is struck, the load factor then measured bends no wing: modes and loads become as uncertain as
+those of an unknown gust. A step's normalised innovation squared (NIS) is counted as without the inflation, but bounded:
+a blow of 20 ms is no contradiction of the model, a lasting one is.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOAD_FACTOR_TIME_S = (
     1.0  # measured (bench world): noise of the load factor drew bend per g by 4 sigma at 0.1 s, by 1 at 1 s
 )
 GATE_SIGMAS = 5.0  # convention: a Gaussian innovation lies beyond once in 1.7 million
-LOAD_VARIANCE_RATIO = 2.0  # chosen: variance of the wing's load per variance of a shaken root's vertical force
+LOAD_VARIANCE_RATIO = 0.7  # chosen: variance of the wing's load per variance of a shaken root's vertical force
 MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
 MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below validity.NIS_LIMIT over a second
 STRUCK_SIGMAS = 3.0  # chosen: of both tips' vertical rows, beside a root whose motion makes up half of their variance
@@ -181,6 +181,8 @@ class DiscreteModel(NamedTuple):
         ``H1 Q``: covariance of the rows' noise with the process noise.
     process_noise_in_rows : (9, 9) float64
         ``H1 Q H1^T``.
+    load_noise, load_cross_cov, load_noise_in_rows : (n, n), (9, n), (9, 9) float64
+        Parts of the last three by the loads, which a blow inflates.
     linearisation_rows : (6 + 6 r + f, n + 1) float64
         Rows that give, from a state, what the middle of the step has: tip slopes and slope rates (2 each), roll rate,
         roll acceleration; for each of r ranks of modes the tips' lifts, lift rates as it begins and lift accelerations
@@ -192,7 +194,7 @@ class DiscreteModel(NamedTuple):
     lift_acceleration_variance : (r,) float64
         Variance, by the load inside the step, of the mean acceleration of a tip's lift by each rank of modes.
     motion_covariance : (n, n) float64
-        Added to the state's where the root is struck: nothing of modes and loads is known from before.
+        Added to the state's where the root is struck: modes and loads are as uncertain as those of an unknown gust.
     """
 
     transition: Floats
@@ -205,6 +207,9 @@ class DiscreteModel(NamedTuple):
     Q: Floats
     cross_cov: Floats
     process_noise_in_rows: Floats
+    load_noise: Floats
+    load_cross_cov: Floats
+    load_noise_in_rows: Floats
     linearisation_rows: Floats
     aliasing_variance: float
     moments_beside_gyro: bool

@@ -68,6 +68,8 @@ class DiscreteWingModel:
         ``Q H1^T``.
     process_noise_in_rows : (9, 9) float64
         ``H1 Q H1^T``, to which sensor noise is added.
+    load_noise, load_cross_cov, load_noise_in_rows : (n, n), (n, 9), (9, 9) float64
+        Parts of the last three by the loads alone.
     slope : (2, n) float64
         Left and right tip slope of a state, rad.
     aliasing_variance : float
@@ -84,6 +86,9 @@ class DiscreteWingModel:
     noise: Floats
     cross_cov: Floats
     process_noise_in_rows: Floats
+    load_noise: Floats
+    load_cross_cov: Floats
+    load_noise_in_rows: Floats
     slope: Floats
     aliasing_variance: float
     moments_beside_gyro: bool
@@ -119,13 +124,15 @@ def build_model(
     transition = np.hstack([a, (bend - a @ bend)[:, None]])
     H = after @ transition
     H[:, :n] += before
-    process_noise_in_rows = after @ q @ after.T
-    aliasing_variance = 0.0
+    by_load = np.zeros_like(q)
+    modes = slice(0, layout.antisymmetric.span.stop)
+    by_load[modes, modes] = q[modes, modes]
+    load_noise_in_rows, aliasing_variance = after @ by_load @ after.T, 0.0
     for family in layout.families:  # the path between two samples is not in what is made of samples
         load = q[family.v, family.v]
         between_samples = load * noise.sample_s**2 / (12.0 * step_s**4)
         # each tip's samples lie at instants of their own
-        process_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += between_samples * np.eye(2)
+        load_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += between_samples * np.eye(2)
         # an epoch's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
         aliasing_variance += load * noise.sample_s / (3.0 * step_s**3)
     slope_matrix = slope_rows(layout)
@@ -139,7 +146,10 @@ def build_model(
         H,
         q,
         q @ after.T,
-        process_noise_in_rows,
+        after @ (q - by_load) @ after.T + load_noise_in_rows,
+        by_load,
+        by_load @ after.T,
+        load_noise_in_rows,
         slope_matrix,
         float(aliasing_variance),
         moments_beside_gyro,

@@ -81,7 +81,7 @@ def _filter_step(
         1.0
         + LOAD_VARIANCE_RATIO
         * float(epochs.root_motion_variance[k, 0])
-        / float(model.process_noise_in_rows[Z_LEFT, Z_LEFT]),
+        / float(model.load_noise_in_rows[Z_LEFT, Z_LEFT]),
         MAX_NOISE_INFLATION,
     )
     S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state)[np.ix_(used, used)]
@@ -108,7 +108,8 @@ def _filter_step(
         epochs.root_motion_variance[k, 2],
     )
     gate_excess = np.where(by_root[used] > 0.5 * predicted_variance, row_innovation, gate_excess)
-    whitened_cross_cov = HP @ model.transition.T + noise_inflation * model.cross_cov[used]
+    whitened_cross_cov = HP @ model.transition.T + model.cross_cov[used]
+    whitened_cross_cov += (noise_inflation - 1.0) * model.load_cross_cov[used]
     H_used, innovation, whitened_cross_cov = (
         _whiten(cholesky, rows) for rows in (H_used, innovation, whitened_cross_cov)
     )
@@ -127,7 +128,8 @@ def _filter_step(
     )
     covariance_after = (
         model.transition @ covariance @ model.transition.T
-        + noise_inflation * model.Q
+        + model.Q
+        + (noise_inflation - 1.0) * model.load_noise
         - whitened_cross_cov.T @ whitened_cross_cov
     )
     covariance[:] = 0.5 * (covariance_after + covariance_after.T)
@@ -157,7 +159,7 @@ def _inflate_process_noise(
     """Factor on the process noise that puts the innovations of the gated vertical rows on the gate."""
     vertical = gated & (used < M_LEFT)
     uncovered = row_innovation**2 - GATE_SIGMAS**2 * predicted_variance
-    needed = uncovered[vertical] / np.diag(model.process_noise_in_rows)[used[vertical]]
+    needed = uncovered[vertical] / np.diag(model.load_noise_in_rows)[used[vertical]]
     return min(before + float(np.max(needed, initial=0.0)), MAX_NOISE_INFLATION)
 
 
@@ -321,7 +323,7 @@ def _measurement_noise(
     const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, noise_inflation: float, state: Floats
 ) -> Floats:
     """Covariance (9, 9) of the rows by inflated process noise, sensors, aliasing and root motion."""
-    out = noise_inflation * model.process_noise_in_rows
+    out = model.process_noise_in_rows + (noise_inflation - 1.0) * model.load_noise_in_rows
     variance, gain, root_motion_variance = (
         const.sensor_variance.copy(),
         epochs.lateral_gain[k],
