@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -11,10 +12,11 @@ from hypothesis import strategies as st
 
 from companion.core.pipeline import start, step
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.readaptation import NewParameters
 from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ImuBatch, Reject, Station, Tick, Validity
+from companion.records import Deflection, ImuBatch, Reject, Station, Tick, Validity
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 from sitl_tests.native.averaging import respaced
@@ -94,8 +96,8 @@ def _knowledge(kalman: SeparatedBiasFilter, others: list[int]) -> tuple[np.ndarr
     )
 
 
-@pytest.mark.slow
-def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight: Flight) -> None:
+def _tracked(flight: Flight) -> WingTracker:
+    """Tracker after three seconds."""
     state = start(flight.airframe, Settings())
     state.scheduling = state.correction = None
     now_ns = HOST_EPOCH_NS
@@ -106,7 +108,24 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
         if now_ns > HOST_EPOCH_NS + 3_000_000_000:
             break
         state, _ = step(state, record)
-    kalman = state.tracker._kalman
+    return state.tracker
+
+
+@pytest.mark.slow
+def test_nothing_is_smoothed_across_the_instant_at_which_constants_begin_anew(flight: Flight) -> None:
+    tracker = _tracked(flight)
+    before_ns = tracker.newest_ns - 100_000_000
+    for shaken, expected in (((True, False), Deflection), ((False, False), Reject)):
+        noise = copy.deepcopy(tracker._row_noise)
+        noise.shaken = shaken
+        tracker._take(NewParameters(noise, tracker._kalman.model, None, 0))
+        assert isinstance(tracker.smooth(before_ns), expected)
+    assert isinstance(tracker.smooth(tracker.newest_ns), Deflection)
+
+
+@pytest.mark.slow
+def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight: Flight) -> None:
+    kalman = _tracked(flight)._kalman
     kalman.reset_bias_parameters([])  # solves, so that all that was gathered is in the answer
     names = kalman.layout.bias_parameters
     at = names.index("left.mx")
@@ -122,7 +141,7 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
 
 
 def _taught(sends: str, shaken: bool) -> dict[str, float]:
-    """Bias parameters by an information that tells of each of them; the left tip's roll rate as vibration makes it."""
+    """Bias parameters by an information that tells of each of them; the left tip is still or shaken."""
     base = load_airframe("nadir-2m")
     left, right = (dataclasses.replace(tip, sends=sends) for tip in (base.left, base.right))
     tracker = WingTracker(dataclasses.replace(base, left=left, right=right), Settings())

@@ -98,23 +98,46 @@ def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, mome
             np.testing.assert_allclose(result, expected, atol=1e-9 * max(np.abs(expected).max(initial=0.0), 1e-6))
 
 
-@pytest.mark.parametrize(("root_mps2", "forgotten"), [(0.0, False), (8.0, True)])
-def test_a_struck_root_leaves_nothing_known_of_the_motion_before(root_mps2: float, forgotten: bool) -> None:
-    """The same 90 m/s^2 at both tips: beside a root that has not moved a gust explains them."""
-    compiled, plain = _filter(), _filter()
-    epochs, at = _epochs(compiled, 0.0), 30
+def _after(kalman: SeparatedBiasFilter, tips_mps2: tuple[float, float], root_mps2: float) -> Floats:
+    """Covariance after an epoch in which the tips show so much, and the root moves so much unresolved."""
+    epochs, at = _epochs(kalman, 0.0), 30
     rows, root = epochs.rows.copy(), np.zeros_like(epochs.root_motion_variance)
-    rows[:at] = _flown(compiled)[:at]
-    rows[at, Z_LEFT : Z_LEFT + 2], root[at, 0] = 90.0, root_mps2**2
+    rows[:at] = _flown(kalman)[:at]
+    rows[at, Z_LEFT : Z_LEFT + 2], root[at, 0] = tips_mps2, root_mps2**2
+    const, model, state, history = _kernel_arguments(kalman)
     epochs = epochs._replace(rows=rows, root_motion_variance=root)
-    for kalman, kernel in ((compiled, kernel_loops), (plain, kernel_numpy)):
-        assert kernel.filter_epochs(
-            *_kernel_arguments(kalman)[:2], epochs, *_kernel_arguments(kalman)[2:], 0, at + 1, 0
-        )
-    np.testing.assert_allclose(compiled.covariance, plain.covariance, rtol=1e-6, atol=1e-12)
-    q = compiled.layout.symmetric.q
-    by_gust = compiled._discrete_model.motion_covariance[q, q]
-    assert (compiled.covariance[q, q] > by_gust) == forgotten
+    plain = [array.copy() for array in state]
+    assert kernel_loops.filter_epochs(const, model, epochs, state, history, 0, at + 1, 0)
+    twin = FilterState(*plain)
+    assert kernel_numpy.filter_epochs(const, model, epochs, twin, history, 0, at + 1, 0)
+    np.testing.assert_allclose(state.covariance, twin.covariance, rtol=1e-6, atol=1e-12)
+    return state.covariance
+
+
+@pytest.mark.parametrize(
+    ("tips_mps2", "root_mps2", "forgotten"),
+    [
+        ((90.0, 90.0), 0.0, False),  # a gust explains it
+        ((90.0, 90.0), 8.0, True),
+        ((90.0, 0.0), 8.0, False),  # not of the root
+        ((15.0, 15.0), 8.0, False),  # no more than the root moves
+    ],
+)
+def test_a_struck_root_leaves_motion_as_uncertain_as_in_an_unknown_gust(
+    tips_mps2: tuple[float, float], root_mps2: float, forgotten: bool
+) -> None:
+    kalman = _filter()
+    q = kalman.layout.symmetric.q
+    by_gust = kalman._discrete_model.motion_covariance[q, q]
+    assert (_after(kalman, tips_mps2, root_mps2)[q, q] > by_gust) == forgotten
+
+
+def test_a_blow_makes_the_loads_uncertain_and_not_the_roll() -> None:
+    calm, struck = (_after(_filter(), tips_mps2, 0.0) for tips_mps2 in ((0.0, 0.0), (90.0, 90.0)))
+    layout = _filter().layout
+    load, others = layout.symmetric.q + 2, slice(layout.roll_rate, layout.size)
+    assert struck[load, load] > 10.0 * calm[load, load]
+    assert np.diag(struck)[others] == pytest.approx(np.diag(calm)[others], rel=0.05)
 
 
 def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
