@@ -106,7 +106,11 @@ def test_play_keeps_the_first_part_of_every_reversal_from_the_cameras() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "size"),
-    [pytest.param("clock-step", 0.004, marks=pytest.mark.long), ("crosstalk", 0.15), ("mount-play", 0.002)],
+    [
+        pytest.param("clock-step", 0.004, marks=pytest.mark.long),
+        ("crosstalk", 0.15),
+        pytest.param("mount-play", 0.002, marks=pytest.mark.long),
+    ],
 )
 def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None:
     assert diagnosed(4711, **{hidden: size}).verdict is DiagnosisVerdict.UNEXPLAINED

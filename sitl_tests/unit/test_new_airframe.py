@@ -191,7 +191,10 @@ def test_at_a_terminal_it_asks_and_asks_again(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"--frequency-hz": "9", "--semispan-m": "0.8", "--tip-axes": "z"}])
+@pytest.mark.parametrize(
+    "changes",
+    [pytest.param({}, marks=pytest.mark.long), {"--frequency-hz": "9", "--semispan-m": "0.8", "--tip-axes": "z"}],
+)
 def test_the_tracker_follows_a_wing_drawn_from_the_draft(
     changes: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
