@@ -349,7 +349,7 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
                          dot(f->HP + r * n, f->H + q * (n + 1), n);
         bool lateral = Y_LEFT <= row && row < P_LEFT;
         f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
-        if (lateral)
+        if (lateral) /* what it shares with other rows is left out: linearised at a wrong state that did harm */
             f->S[r][r] += (noise_inflation * f->tip[row - Y_LEFT].variance +
                            squared(f->tip[row - Y_LEFT].per_measured) * motion[0]) *
                           squared(gain[row - Y_LEFT]);
