@@ -6,7 +6,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import DiscreteModel, FilterConstants
 from companion.core.tracking.error_jacobians import measured_regressors
-from companion.core.tracking.model import DiscreteWingModel, lift_rows, motion_covariance
+from companion.core.tracking.model import DiscreteWingModel, lift_rows
 from companion.core.tracking.states import P_LEFT, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
 from companion.core.wing.shortening import shortening_pm
 from companion.records import Floats
@@ -51,7 +51,7 @@ def kernel_model(
         aliasing_variance=model.aliasing_variance,
         moments_beside_gyro=model.moments_beside_gyro,
         lift_acceleration_variance=np.array([rate[1] @ model.noise @ rate[1] for _, rate in lifts]) / model.step_s**2,
-        motion_covariance=motion_covariance(layout, model),
+        motion_covariance=model.motion_covariance,
     )
 
 

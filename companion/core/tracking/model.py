@@ -70,6 +70,8 @@ class DiscreteWingModel:
         ``H1 Q H1^T``, to which sensor noise is added.
     load_noise, load_cross_cov, load_noise_in_rows : (n, n), (n, 9), (9, 9) float64
         Parts of the last three by the loads alone.
+    motion_covariance : (n, n) float64
+        Of modes and loads of a wing that has been in this gust for ever; zero for all other states.
     slope : (2, n) float64
         Left and right tip slope of a state, rad.
     aliasing_variance : float
@@ -89,6 +91,7 @@ class DiscreteWingModel:
     load_noise: Floats
     load_cross_cov: Floats
     load_noise_in_rows: Floats
+    motion_covariance: Floats
     slope: Floats
     aliasing_variance: float
     moments_beside_gyro: bool
@@ -115,6 +118,11 @@ def build_model(
     Returns
     -------
     DiscreteWingModel
+
+    Raises
+    ------
+    ValueError
+        If a mode is not stable.
     """
     n = layout.size
     a, q = propagation(layout, noise, parameters, step_s)
@@ -150,24 +158,19 @@ def build_model(
         by_load,
         by_load @ after.T,
         load_noise_in_rows,
+        _motion_covariance(layout, a, q),
         slope_matrix,
         float(aliasing_variance),
         moments_beside_gyro,
     )
 
 
-def motion_covariance(layout: StateLayout, model: DiscreteWingModel) -> Floats:
-    """Covariance (n, n) of modes and loads of a wing that has been in this gust for ever; zero for all other states.
-
-    Raises
-    ------
-    ValueError
-        If a mode is not stable.
-    """
+def _motion_covariance(layout: StateLayout, transition: Floats, noise: Floats) -> Floats:
+    """Stationary covariance (n, n) of modes and loads; zero for all other states."""
     covariance = np.zeros((layout.size, layout.size))
     for family in layout.families:
         block = (family.span, family.span)
-        covariance[block] = stationary_covariance(model.transition[block], model.noise[block])
+        covariance[block] = stationary_covariance(transition[block], noise[block])
     return covariance
 
 
@@ -186,13 +189,8 @@ def stationary(layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel
     Returns
     -------
     (n, n) float64
-
-    Raises
-    ------
-    ValueError
-        If a mode is not stable.
     """
-    covariance = motion_covariance(layout, model)
+    covariance = model.motion_covariance.copy()
     covariance[layout.roll_rate, layout.roll_rate], covariance[layout.roll_accel, layout.roll_accel] = (
         _ROLL_SIGMA_RADPS**2,
         _ROLL_ACCEL_SIGMA_RADPS2**2,
