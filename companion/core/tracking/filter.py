@@ -74,10 +74,8 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
-        # as constants slope factors came out 3 to 4 sigma off: a wing's bend is never that of its named modes alone
-        self._wandering = self._columns([*_WANDERING, *self._slopes()])
         self._considered_now: list[str] = []  # as long as tips are shaken or mute
-        self._estimated, self._considered = np.arange(c, dtype=np.int64), np.arange(0, dtype=np.int64)
+        self._set_considered(np.arange(0, dtype=np.int64))
         self._consider(_CONSIDERED)
         if self._bend_is_calibrated():
             self._consider(["bend_per_g"])
@@ -119,12 +117,19 @@ class SeparatedBiasFilter:
             )
         return other
 
+    def _set_considered(self, considered: Ints) -> None:
+        """Consider these bias parameters and estimate all others, of which biases of rates and slope factors wander.
+
+        As constants slope factors came out 3 to 4 sigma off: a wing's bend is never that of its named modes alone.
+        """
+        self._considered = considered
+        self._estimated = np.setdiff1d(np.arange(len(self.bias_parameters), dtype=np.int64), considered)
+        self._wandering = np.intersect1d(self._columns([*_WANDERING, *self._slopes()]), self._estimated + 1)
+
     def _consider(self, names: Collection[str]) -> None:
         """Leave bias parameters at their priors from here on, and what is not known of them in the covariance."""
         new = np.array([at for at in self._estimated if self.layout.bias_parameters[at] in names], np.int64)
-        self._considered = np.union1d(self._considered, new)
-        self._estimated = np.setdiff1d(self._estimated, new)
-        self._wandering = np.setdiff1d(self._wandering, new + 1)  # columns
+        self._set_considered(np.union1d(self._considered, new))
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
@@ -152,10 +157,7 @@ class SeparatedBiasFilter:
         """Estimate considered bias parameters from here on, and all others anew, which were estimated beside them."""
         others = [self.layout.bias_parameters[at] for at in self._estimated]
         self.reset_bias_parameters([*others, *names])  # in this order: the others hang on the considered ones
-        again = self._columns(names)
-        self._considered = np.setdiff1d(self._considered, again - 1)
-        self._estimated = np.union1d(self._estimated, again - 1)
-        self._wandering = np.union1d(self._wandering, self._columns([name for name in names if name in self._slopes()]))
+        self._set_considered(np.setdiff1d(self._considered, self._columns(names) - 1))
 
     def _slopes(self) -> list[str]:
         """Names of the slope factors."""
