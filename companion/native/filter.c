@@ -65,8 +65,7 @@ typedef struct {
 
     const model_record *model;
     const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *load_noise, *load_cross_cov,
-        *load_noise_in_rows, *linearisation_rows,
-        *lift_acceleration_variance, *motion_covariance;
+        *load_noise_in_rows, *linearisation_rows, *lift_acceleration_variance, *motion_covariance;
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
 
@@ -413,6 +412,12 @@ static bool factorise(run *f, bool robust)
     return true;
 }
 
+/* Variance of a vertical row by motion of the root that is not resolved, and by the load that it makes. */
+static double unresolved_variance(const run *f, int64_t k)
+{
+    return (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+}
+
 /* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate. */
 static bool gate(run *f, int64_t k, double *excess)
 {
@@ -428,7 +433,7 @@ static bool gate(run *f, int64_t k, double *excess)
             excess[row] = f->innovation[r] < 0.0 ? -beyond : beyond;
         }
         if (row < M_LEFT)
-            by_root = (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+            by_root = unresolved_variance(f, k);
         else if (row == P_ROOT)
             by_root = f->root_motion_variance[3 * k + 2];
         if (by_root > 0.5 * f->predicted_variance[r])
@@ -539,7 +544,7 @@ static void propagate_covariance(run *f, double noise_inflation, const double *c
  * The static bend of such a load factor is none, and the state is wrong by it. */
 static bool is_struck(const run *f, int64_t k)
 {
-    double by_root = (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+    double by_root = unresolved_variance(f, k);
     for (int side = 0; side < 2; side++) {
         int64_t r = f->position[Z_LEFT + side];
         if (r < 0 || by_root <= 0.5 * f->predicted_variance[r] ||
