@@ -49,6 +49,8 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between (derived)
+# two seconds: a 3 Hz wing of 3 % damping has lost two thirds of what the wheels and the rotation shook it by (derived)
+_LIFT_OFF_NS = 2_000_000_000
 _BY_PIN = "exposures stamped by the autopilot"
 _SAMPLES = {station: f"samples {station.name.lower()}" for station in Station}  # names of counters
 
@@ -202,6 +204,7 @@ def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
     if state.vehicle is not None and state.vehicle.on_ground and vehicle.on_ground is False:
         state.tracker.lifted_off()
+        state.airborne_ns = vehicle.received_host_ns + _LIFT_OFF_NS
     state.vehicle = vehicle
     if state.correction is not None:
         state.correction.vehicle.add(vehicle)
@@ -287,6 +290,9 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     outputs: list[OutputRecord] = []
     if now_ns >= state.next_track_ns:
         state.next_track_ns = now_ns + _TRACK_PERIOD_NS
+        if state.airborne_ns is not None and now_ns >= state.airborne_ns:
+            state.tracker.lifted_off()
+            state.airborne_ns = None
         outputs += _take_samples(state)
         outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
         state.validity = state.tracker.process_until(now_ns) or state.validity

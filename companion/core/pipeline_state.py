@@ -47,6 +47,7 @@ class PipelineState:
     counters: Counter[str] = field(default_factory=Counter)
     waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
     next_track_ns: int = 0
+    airborne_ns: int | None = None  # when a wing that has just lifted off will bend by its load alone
     next_status_ns: int = 0
     hub: ClockName | None = None
     now_ns: int = 0  # of the last tick, for what has no time of its own

@@ -312,3 +312,6 @@ def test_the_tracker_starts_again_when_the_autopilot_says_that_it_lifted_off(
     for k, on_ground in enumerate(reported):
         state, _ = step(state, VehicleState(k, HOST_EPOCH_NS + k * S, 0.0, 0.0, 0.0, 15.0, 0.0, 0.5, True, on_ground))
     assert len(lifted) == starts
+    for k in range(5 * 50):
+        state, _ = step(state, Tick(HOST_EPOCH_NS + 5 * S + k * 20 * MS))
+    assert len(lifted) == 2 * starts, "once more when the wing has stopped ringing from the wheels, and never again"
