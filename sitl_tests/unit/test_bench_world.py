@@ -45,6 +45,18 @@ def test_wilsons_interval() -> None:
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
 
 
+def test_the_nees_has_the_standard_error_of_its_flights_and_not_of_its_shots() -> None:
+    """Flights of equal length: the standard error is that of the mean of the flights' own means."""
+    row = CampaignRow("ideal", "nadir-2m", "6-axis")
+    toes = (0.5e-4, 1e-4, 3e-4)
+    flights = [judged_flight([shot(16.0 + k, toe=toe) for k in range(10)]) for toe in toes]
+    squares = np.array(toes) ** 2 / 1e-8
+    figures = summary(pooled(row, flights))
+    assert figures["nees"] == pytest.approx(squares.mean())
+    assert figures["nees_sigma"] == pytest.approx(squares.std(ddof=1) / math.sqrt(3))
+    assert math.isnan(summary(pooled(row, flights[:1]))["nees_sigma"])
+
+
 def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
     row = CampaignRow("fair", "nadir-2m", "6-axis")
     judged = [shot(14.0), *(shot(15.0 + k) for k in range(10)), shot(25.0, trusted=0.0), shot(31.0, 70.0, 4e-4)]

@@ -9,11 +9,12 @@ mix.
 trusted: share of the shots with texture from 15 s in the air on, with Wilson's 95 % interval; its target counts from
 what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only, and
 leaves out the share of shots whose stamps are wrong. toe: error of the relative toe at the cameras over all trusted
-shots in the air from 15 s on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published ranges of the whole
-flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the
-estimate where it is trusted, of each peer over the same shots, and of the estimator itself on the same flights without
-vibration and warm-up, told the sensors' noise (the reference). constants: those that the tracker estimates, at the end
-of each flight, error over sigma: mean, rms, and share inside 3 sigma in all flights and by world.
+shots in the air from 15 s on, rms in mrad; NEES, its standard error by flights (the shots of one flight share an error
+of toe), and share inside 1, 2, 3 sigma. wrong: published ranges of the whole flight off by more than 5 sigma and 5 %,
+and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer over
+the same shots, and of the estimator itself on the same flights without vibration and warm-up, told the sensors' noise
+(the reference). constants: those that the tracker estimates, at the end of each flight, error over sigma: mean, rms,
+and share inside 3 sigma in all flights and by world.
 """
 
 from __future__ import annotations
@@ -139,11 +140,25 @@ def summary(group: Pooled) -> dict[str, float]:
     figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
                "published": int(np.sum(trusted)), "toe_mrad": 1e3 * rms(group.toe_error[good]),
                "nees": float(np.mean(over**2)) if len(over) else math.nan,
+               "nees_sigma": _sigma_by_flights(over**2, group.flight[good]),
                "wrong": int(np.sum((sigmas > 5.0) & (off_ratio > 0.05))), "far": int(np.sum(off_ratio > 0.2)),
                "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
     for k in (1, 2, 3):
         figures[f"inside_{k}"] = float(np.mean(np.abs(over) <= k)) if len(over) else math.nan
     return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", *PEERS)}
+
+
+def _sigma_by_flights(values: Floats, flight: Floats) -> float:
+    """Standard error of a mean of values (n,) that are independent from flight to flight only; NaN for one flight.
+
+    That of a ratio estimator: Cochran (1977), *Sampling Techniques*, section 6.3.
+    """
+    flown = np.unique(flight)
+    if len(flown) < 2:
+        return math.nan
+    mean = np.mean(values)
+    beside = np.array([np.sum(values[flight == k] - mean) for k in flown])
+    return float(math.sqrt(len(flown) / (len(flown) - 1) * np.sum(beside**2)) / len(values))
 
 
 def missed(group: Pooled, figures: dict[str, float], near_enough: float = 1.0) -> list[str]:
@@ -217,7 +232,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     """The tables as text, and how many rows and constants miss a target."""
     head = (
         f"{'world or accident':40s} {'airframe':11s} {'axes':8s} {'fl.':>3s} {'trusted':>7s} {'95 %':>11s} {'toe':>6s}"
-        f" {'NEES':>6s} {'1s':>4s} {'2s':>4s} {'3s':>5s} {'publ.':>6s} {'wrong':>5s} {'>20%':>4s}  misses"
+        f" {'NEES':>6s} {'+-':>5s} {'1s':>4s} {'2s':>4s} {'3s':>5s} {'publ.':>6s} {'wrong':>5s} {'>20%':>4s}  misses"
     )
     lines, peers, failures = [head], [], 0
     fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} {'reference':>11s} {'ratio':>7s} "
@@ -236,9 +251,10 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
         failures += bool(short)
         name = f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s}"
         trusted = f"{100 * f['trusted']:6.1f}% {100 * f['low']:5.1f}-{100 * f['high']:5.1f}"
+        nees = f"{f['nees']:6.2f} {f['nees_sigma']:5.2f}"
         inside = f"{100 * f['inside_1']:4.0f} {100 * f['inside_2']:4.0f} {100 * f['inside_3']:5.1f}"
         lines.append(
-            f"{name} {group.flights:3d} {trusted} {f['toe_mrad']:6.3f} {f['nees']:6.2f} {inside} {f['published']:6.0f}"
+            f"{name} {group.flights:3d} {trusted} {f['toe_mrad']:6.3f} {nees} {inside} {f['published']:6.0f}"
             f" {f['wrong']:5.0f} {f['far']:4.0f}  {', '.join(short)}"
         )
         if not group.row.accident.name:
