@@ -38,25 +38,6 @@ def test_bad_samples_are_refused_and_counted_and_the_rest_is_kept() -> None:
     assert stream.saturated_ns == SECOND + 3_000_000
 
 
-def test_a_tip_without_gyros_whose_peaks_are_clipped_is_blinded_and_a_glitch_is_none() -> None:
-    t_ms = np.arange(8000.0)
-    values = np.zeros((len(t_ms), 6))
-    values[:, 2] = -9.8
-    values[2000:2004, 2] = LEFT.accel_range_mps2
-    for every, axes, expected in ((0, Axis.Z, False), (100, Axis.Z, True), (100, Axis.ALL, False)):
-        if every:
-            values[::every, 2] = LEFT.accel_range_mps2
-        stream = SampleBuffer(LEFT)
-        for first in range(0, len(t_ms), 40):
-            chunk = slice(first, first + 40)
-            stream.add(dataclasses.replace(_batch(t_ms[chunk], values[chunk]), axes=axes), 0)
-        assert stream.blinded is expected
-        assert np.all(stream.samples()[1][:, 2] == -9.8), "what is clipped is dropped"
-        stream.add(_batch(t_ms[:3], np.full((3, 6), 1e6)), 0)  # all beyond the range: nothing is left to count
-    stream.add(dataclasses.replace(_batch(8000.0 + np.arange(8000.0), values[1:2].repeat(8000, 0)), axes=Axis.Z), 0)
-    assert not stream.blinded
-
-
 @given(st.permutations(range(8)))
 def test_the_order_of_arrival_does_not_matter(order: list[int]) -> None:
     straight, shuffled = SampleBuffer(LEFT), SampleBuffer(LEFT)

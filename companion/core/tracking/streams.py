@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import plain
+from companion.core.tracking.clipping import Clipping
 from companion.core.tracking.line_removal import (
     LOCKED_RATIO,
     PARTS,
@@ -26,11 +27,6 @@ from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
 CHANNELS = 6  # specific force x y z, rate p q r (by definition)
-_SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
-# chosen, of a second: the clipped are the peaks, and a mean without them shrinks, of a Gaussian by 4 % where 0.5 % are
-# clipped and by 42 % where 12 % are
-_MOST_CLIPPED_SHARE = 0.005
-_CLIPPED_MEMORY_S = 1.0  # chosen: as long as the NIS remembers
 _MAX_RANGE_RATIO = 1.05  # chosen: calibration may exceed the range by this much, nothing else
 _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1/6)^2), in sigmas of a sample
 
@@ -120,8 +116,8 @@ class SampleBuffer:
         Stamp of the newest accepted sample.
     saturated_ns : int or None
         Stamp of the newest sample that was refused as saturated.
-    clipped_share : float
-        Share of the last second's samples that were saturated.
+    clipping : Clipping
+        Samples at the sensor's limits, and what they cost.
     filtered : bool
         Whether the source low-passes its samples.
     ring : SampleRing
@@ -134,7 +130,7 @@ class SampleBuffer:
     axes: Axis = Axis.NONE
     newest_ns: int | None = None
     saturated_ns: int | None = None
-    clipped_share: float = 0.0
+    clipping: Clipping = field(init=False)
     filtered: bool = field(init=False)
     ring: SampleRing = field(init=False)
     _lines: LineStates | None = None
@@ -143,7 +139,6 @@ class SampleBuffer:
     _clean: Floats = field(default_factory=lambda: np.empty((0, CHANNELS)))
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
     _needed_ns: int = -(2**62)
-    _range: Floats = field(init=False)
     _cutoff_hz: Floats = field(init=False)
     _period_ns: int = field(init=False)
     _noise_sigma: Floats = field(init=False)
@@ -153,7 +148,7 @@ class SampleBuffer:
 
     def __post_init__(self) -> None:
         sensor = self.sensor
-        self._range = _ranges(sensor)
+        self.clipping = Clipping(_ranges(sensor), 1.0 / sensor.rate_hz)
         self._cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / sensor.rate_hz)
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
@@ -165,13 +160,13 @@ class SampleBuffer:
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or outside the range are refused and counted.
 
-        So are outliers among earlier batches that have been recognised since.
+        Clipped ones are counted, and refused only as ``Clipping.count`` says. So are outliers among
+        earlier batches that have been recognised since.
         """
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
-        if len(t) and _valid(t, values, self.sensor, oldest_ns):
-            self._count_clipped(0, len(t))
+        if len(t) and not self.clipping.active and _valid(t, values, self.sensor, oldest_ns):
             self._take(t, values)
             return reports
         batch, beyond = within_range(batch, self.sensor)
@@ -187,31 +182,18 @@ class SampleBuffer:
         t, values = plain(batch.t_ns), plain(batch.values)
         late = t <= oldest_ns
         infinite = ~np.isfinite(values).all(axis=1)
-        with np.errstate(invalid="ignore"):
-            full = ~infinite & ((np.abs(values) / self._range).max(axis=1, initial=0.0) > 1.0 - _SATURATION_MARGIN)
-        self._count_clipped(int(full.sum()), len(t))
-        bad = late | infinite | full
-        if full.any():
-            self.saturated_ns = max(int(t[full].max()), self.saturated_ns or 0)
-        if bad.any():
-            t, values = t[~bad], values[~bad]
-        if len(t):
-            self._take(t, values)
-        causes = ((Reject.NOT_FINITE, infinite), (Reject.SATURATED, full), (Reject.TOO_LATE, late & ~infinite & ~full))
+        clipped, lost = self.clipping.count(values)
+        if lost.any():
+            self.saturated_ns = max(int(t[lost].max()), self.saturated_ns or 0)
+        usable = ~(late | infinite | lost)
+        if usable.any():
+            self._take(t[usable], self.clipping.restore_gain(values[usable]))
+        causes = (
+            (Reject.NOT_FINITE, infinite),
+            (Reject.SATURATED, clipped),
+            (Reject.TOO_LATE, late & ~infinite & ~clipped),
+        )
         return [Rejected(why, _name(batch), batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
-
-    def _count_clipped(self, clipped: int, count: int) -> None:
-        """Carry the share of clipped samples on over a batch."""
-        if count and (clipped or self.clipped_share):
-            weight = min(count * self._period_ns * 1e-9 / _CLIPPED_MEMORY_S, 1.0)
-            self.clipped_share += weight * (clipped / count - self.clipped_share)
-            if self.clipped_share < 1e-6:
-                self.clipped_share = 0.0
-
-    @property
-    def blinded(self) -> bool:
-        """Whether so much was clipped that means of it mislead, and no gyro tells the tilt beside them."""
-        return self.clipped_share > _MOST_CLIPPED_SHARE and not self.axes & Axis.P
 
     def _take(self, t_ns: Ints, values: Floats) -> None:
         """Queue samples until they are needed."""

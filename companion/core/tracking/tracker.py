@@ -340,7 +340,7 @@ class WingTracker:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
         if not self._body_rates or not self._activity.learned:
             return Reject.NOT_SETTLED
-        return Reject.SATURATED if any(s.blinded for s in self._streams) else DISTRUST.get(self._validity)
+        return Reject.SATURATED if any(s.clipping.blinds for s in self._streams) else DISTRUST.get(self._validity)
 
     @property
     def nis(self) -> float:
