@@ -14,7 +14,13 @@ from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.blow import BlowWatch
-from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, tip_estimate, tip_output_matrix
+from companion.core.tracking.estimates import (
+    bias_parameter_estimates,
+    fast_slope_time_s,
+    mode_estimate,
+    tip_estimate,
+    tip_output_matrix,
+)
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.line_following import LineFollowing
 from companion.core.tracking.manoeuvre_error import ManoeuvreError
@@ -54,19 +60,15 @@ class WingTracker:
         root, left, right = self._streams
         self._noise = make_noise(airframe, self._layout, self._step_s)
         self._front_end = MeasurementBuilder(self._layout, self._noise, (root, left, right))
-        wing = airframe.wing
         root_y_m = airframe.root.position_m[1]
         self._levers = (airframe.left.position_m[1] - root_y_m, airframe.right.position_m[1] - root_y_m)
         self._keep = int(_HISTORY_S / self._step_s) + 8
-        self._prior = (
-            prior_parameters(self._layout.symmetric, wing.gust),
-            prior_parameters(self._layout.antisymmetric, wing.gust),
-        )
+        (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
+        self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._forecaster = Forecaster(self._layout)
         self._body_rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each epoch
         self._start_ns: int | None = None
-        self._reopened_ns = self._settle_ns = 0
-        self._next_ns = 0
+        self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines = LineFollowing(self._streams)
         self._search_due = 0  # epoch of the grid
         self._row_noise = RowNoise(self._noise)
@@ -307,9 +309,7 @@ class WingTracker:
 
     def bias_parameters(self) -> dict[str, tuple[float, float]]:
         """Estimate and sigma of every bias parameter (``states.StateLayout``), as deviations from the airframe's."""
-        sigma = np.sqrt(np.diag(self._kalman.bias_parameter_covariance))
-        estimates = zip(self._kalman.bias_parameters.tolist(), sigma.tolist(), strict=True)
-        return dict(zip(self._layout.bias_parameters, estimates, strict=True))
+        return bias_parameter_estimates(self._kalman)
 
     def _alive(self, station: Station) -> bool:
         """Whether a station has sent lately."""
