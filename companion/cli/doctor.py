@@ -17,6 +17,7 @@ from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
+from companion.doctor.clipping import check_clipping
 from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.doctor.examine import Examination, read_log
 from companion.doctor.link import check_computer, check_link
@@ -34,6 +35,7 @@ _CHECKS = (
     check_link,
     check_parameters,
     check_rates,
+    check_clipping,
     check_filters,
     check_clocks,
     check_nodes,

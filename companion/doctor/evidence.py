@@ -5,13 +5,18 @@ from __future__ import annotations
 import enum
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
 
 from companion.adapters.mavlink.link.dialect import mavlink
+from companion.core.tracking.clipping import at_limit
+from companion.core.tracking.streams import channel_ranges
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
-from companion.records import Axis, ClockName, ClockState, Station
+from companion.records import Axis, ClockName, ClockState, ImuBatch, Station
 
 
 class FindingLevel(enum.StrEnum):
@@ -54,6 +59,13 @@ class Beat:
     count: int
 
 
+class SampleCounts(NamedTuple):
+    """Samples of a station at their sensor's limits, and all samples."""
+
+    clipped: int
+    total: int
+
+
 @dataclass(slots=True)
 class Evidence:
     """Everything seen, of a live vehicle or in a log.
@@ -66,8 +78,9 @@ class Evidence:
 
     Of a recording of ours, ``shots`` were fired, ``pairs`` of images matched, ``unpaired`` images had no partner and
     ``lost`` ones never came; ``plan_outcomes`` counts the end of every plan to fire. ``node_losses`` are the wing
-    nodes' counters by (component, name) of NAMED_VALUE_INT. ``realtime`` is whether this user may take a real-time
-    priority, None where that is not known.
+    nodes' counters by (component, name) of NAMED_VALUE_INT. ``clipped`` counts the samples at their sensor's limits and
+    all of them; ``autopilot_clips`` are the sums of VIBRATION's three counters of clipped samples, in order.
+    ``realtime`` is whether this user may take a real-time priority, None where that is not known.
     """
 
     airframe: Airframe
@@ -95,6 +108,8 @@ class Evidence:
     skipped_bytes: int = 0
     serial_baud: dict[str, int] = field(default_factory=dict)
     node_losses: dict[tuple[int, str], int] = field(default_factory=dict)
+    clipped: dict[Station, SampleCounts] = field(default_factory=dict)
+    autopilot_clips: list[int] = field(default_factory=list)
     realtime: bool | None = None
 
     @property
@@ -114,6 +129,13 @@ class Evidence:
         """The higher of the two first bending modes, as the airframe believes."""
         wing = self.airframe.wing
         return max(wing.symmetric.frequency_hz.value, wing.antisymmetric.frequency_hz.value)
+
+    def count_samples(self, batch: ImuBatch) -> None:
+        """Add a batch to the axes that come, and to the counts of clipped samples."""
+        self.axes[batch.station] = self.axes.get(batch.station, batch.axes) | batch.axes
+        clipped, total = self.clipped.get(batch.station, SampleCounts(0, 0))
+        full = np.asarray(at_limit(batch.values, channel_ranges(self.airframe.sensor(batch.station))).any(axis=(0, 2)))
+        self.clipped[batch.station] = SampleCounts(clipped + int(full.sum()), total + len(full))
 
     def parameter(self, *names: str) -> tuple[str, float] | None:
         """The first of these names that the vehicle has with a value that can be; versions differ in names."""

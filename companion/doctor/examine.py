@@ -110,7 +110,7 @@ class Examination:
     def _take(self, record: Record) -> None:
         evidence = self._evidence
         if isinstance(record, ImuBatch):
-            evidence.axes[record.station] = evidence.axes.get(record.station, record.axes) | record.axes
+            evidence.count_samples(record)
             if self._clock.now_ns() >= self._counting_host_ns:
                 self._counts[record.station] += len(record.t_ns)
         elif isinstance(record, TimesyncReply):
@@ -152,6 +152,8 @@ def note(evidence: Evidence, heard: Heard, system: int | None) -> None:
         pilot = evidence.beats.get(sender)
         bytewise = pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
         evidence.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
+    elif heard.name == "VIBRATION":
+        evidence.autopilot_clips.append(message.clipping_0 + message.clipping_1 + message.clipping_2)
     elif heard.name == "CAMERA_FEEDBACK":
         evidence.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
 
@@ -196,7 +198,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
 def _count(evidence: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
     evidence.plan_outcomes.take(record)
     if isinstance(record, ImuBatch) and len(record.t_ns):
-        evidence.axes[record.station] = evidence.axes.get(record.station, record.axes) | record.axes
+        evidence.count_samples(record)
         span = spans.setdefault(record.station, [0, int(record.t_ns[0]), 0])
         span[0] += len(record.t_ns)
         span[2] = int(record.t_ns[-1])

@@ -6,9 +6,11 @@ import argparse
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -20,7 +22,7 @@ from companion.doctor.evidence import Beat, Evidence, Finding, FindingLevel, Fix
 from companion.doctor.examine import Examination, note, read_log
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Axis, Station
+from companion.records import Axis, ClockName, ImuBatch, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.world import World, WorldOptions
@@ -234,6 +236,42 @@ def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_
     said = texts(evidence_of(axes=both, rate_hz={Station.LEFT: 1000.0, Station.RIGHT: 1000.0}), doctor.check_nodes)
     assert f"about {expected_mrad:.2f} mrad" in said
     assert ("axes" in said and "never come" in said) is (axes is not Axis.ALL)
+
+
+@pytest.mark.parametrize(("every", "level"), [(0, None), (50, "note"), (4, "FIX")])
+def test_samples_at_the_limit_are_told_by_station_with_the_remedy(every: int, level: str | None) -> None:
+    values = np.zeros((1000, 6))
+    values[:, 2] = -9.8
+    if every:
+        values[::every, 2] = -AIRFRAME.left.accel_range_mps2
+    evidence = evidence_of()
+    t_ns = np.arange(1000, dtype=np.int64)
+    for station in (Station.LEFT, Station.LEFT, Station.RIGHT):
+        calm = np.tile([0.0, 0.0, -9.8, 0.0, 0.0, 0.0], (1000, 1))
+        evidence.count_samples(
+            ImuBatch(station, ClockName.HOST, t_ns, values if station is Station.LEFT else calm, Axis.ALL, 0)
+        )
+    said = texts(evidence, doctor.check_clipping)
+    assert evidence.axes == {Station.LEFT: Axis.ALL, Station.RIGHT: Axis.ALL}
+    if level is None:
+        assert said == ""
+    else:
+        assert said.startswith(f"{level} left: {100 / every:.2g} % of the samples are at the sensor's limit")
+        assert ("no range is trusted" in said) is (level == "FIX")
+        assert "right" not in said
+
+
+def test_clips_that_the_autopilot_counts_are_told_and_those_before_are_not(flight: Flight) -> None:
+    pilot = mavlink.MAVLink(None, 1, 1)
+
+    def counts(*clips: int) -> Callable[[int], bytes]:
+        answers = iter(clips)
+        return lambda _: bytes(
+            mavlink.MAVLink_vibration_message(0, 1.0, 1.0, 1.0, next(answers, clips[-1]), 0, 0).pack(pilot)
+        )
+
+    assert "clipped 7 times" in " ".join(wrong(Ward(flight).listen(counts(10, 12, 17))))
+    assert wrong(Ward(flight).listen(counts(10))) == {}
 
 
 def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None:

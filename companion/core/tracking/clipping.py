@@ -13,8 +13,19 @@ _NO_RUN = 0.01  # chosen: two minutes behind the last
 _MEMORY_S = 4.0  # chosen: the share of a vibration that swells and fades within a second would add its own noise
 # measured (world bench, rough): toe errors square to 1.0 to 1.4 sigmas where 17 % are clipped, frequencies are off by
 # ten sigmas where 32 % are
-_MOST_SHARE = 0.2
+MOST_SHARE = 0.2
+"""Clipped samples of an axis, as a share of all, above which nothing rests on the rest."""
 _LONGEST_RUN_S = 0.004  # derived: of a vibration of 31 Hz a quarter is clipped so; a longer peak is a blow's
+
+
+def at_limit(values: Floats, range_of: Floats) -> Bools:
+    """Which values (n, c) were clipped above and below, (2, n, c), with the range of each channel (c,).
+
+    Values that are not finite are not clipped.
+    """
+    with np.errstate(invalid="ignore"):
+        full = np.isfinite(values) & (np.stack([values, -values]) > (1.0 - _SATURATION_MARGIN) * range_of)
+    return np.asarray(full)
 
 
 class Clipping:
@@ -36,7 +47,7 @@ class Clipping:
     def __init__(self, range_of: Floats, period_s: float) -> None:
         """Start with the range of each channel (6,) and the time between samples."""
         self.clipped_ratio: Floats = np.zeros((2, len(range_of)))
-        self._limit = (1.0 - _SATURATION_MARGIN) * range_of
+        self._range = range_of
         self._period_s = period_s
         self._runs = 0.0  # of the last half minute
         self._run = 0  # clipped samples in a row, at the end of what was counted
@@ -49,15 +60,14 @@ class Clipping:
     @property
     def blinds(self) -> bool:
         """Whether so much is clipped that nothing rests on the rest."""
-        return bool(self.clipped_ratio.sum(axis=0).max() > _MOST_SHARE)
+        return bool(self.clipped_ratio.sum(axis=0).max() > MOST_SHARE)
 
     def count(self, values: Floats) -> tuple[Bools, Bools]:
         """Which samples (n,) of the next values (n, 6) are clipped, and which of those are not to be held.
 
-        Those are the first runs, and the end of a long one. Values that are not finite are not clipped.
+        Those are the first runs, and the end of a long one.
         """
-        with np.errstate(invalid="ignore"):
-            full = np.isfinite(values) & (np.stack([values, -values]) > self._limit)
+        full = at_limit(values, self._range)
         clipped = np.asarray(full.any(axis=(0, 2)))
         if len(values) and (self.active or clipped.any()):
             span_s = len(values) * self._period_s
@@ -77,4 +87,4 @@ class Clipping:
         if not self.active:
             return values
         lost: Floats = 2.0 / 3.0 * (self.clipped_ratio.sum(axis=0) + np.sqrt(self.clipped_ratio.prod(axis=0)))
-        return np.asarray(values / (1.0 - np.minimum(lost, _MOST_SHARE)))
+        return np.asarray(values / (1.0 - np.minimum(lost, MOST_SHARE)))

@@ -40,7 +40,7 @@ def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Reject
     """Batch without samples beyond the sensor's range, which no filter may take, and their count."""
     if _valid(plain(batch.t_ns), plain(batch.values), sensor, _EVER_NS):
         return batch, []  # by far the most batches
-    range_ratio = (np.abs(batch.values) / _ranges(sensor)).max(axis=1, initial=0.0)
+    range_ratio = (np.abs(batch.values) / channel_ranges(sensor)).max(axis=1, initial=0.0)
     beyond = np.isfinite(range_ratio) & (range_ratio > _MAX_RANGE_RATIO)
     if not beyond.any():
         return batch, []
@@ -53,7 +53,7 @@ def _valid(t_ns: Ints, values: Floats, sensor: Sensor, oldest_ns: int) -> bool:
     return bool(_all_valid(t_ns, values, sensor.accel_range_mps2, sensor.gyro_range_radps, oldest_ns))
 
 
-def _ranges(sensor: Sensor) -> Floats:
+def channel_ranges(sensor: Sensor) -> Floats:
     """Range of each channel, (6,)."""
     return np.repeat([sensor.accel_range_mps2, sensor.gyro_range_radps], 3)
 
@@ -148,7 +148,7 @@ class SampleBuffer:
 
     def __post_init__(self) -> None:
         sensor = self.sensor
-        self.clipping = Clipping(_ranges(sensor), 1.0 / sensor.rate_hz)
+        self.clipping = Clipping(channel_ranges(sensor), 1.0 / sensor.rate_hz)
         self._cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / sensor.rate_hz)
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)

@@ -58,6 +58,7 @@ _RARE_NAMES = (
     "SYSTEM_TIME",
     "TIMESYNC",
     "VFR_HUD",
+    "VIBRATION",
 )
 RARE = frozenset(ID_OF[name] for name in _RARE_NAMES)
 _TUNNEL = ID_OF["TUNNEL"]
