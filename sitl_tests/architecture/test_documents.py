@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from sitl_tests.architecture.sources import ROOT, offences, text_of
+
 _LISTED = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split()
 SHIPPED = [name for name in sorted(_LISTED) if (ROOT / name).is_file()]
 TEXTS = [
@@ -44,10 +46,6 @@ _MODULE = re.compile(
 )
 
 
-def _text(name: str) -> str:
-    return (ROOT / name).read_text(encoding="utf-8")
-
-
 def _module_exists(dotted: str) -> bool:
     """Whether a dotted name begins with a module of ours, and goes on with a name that stands in it."""
     words = dotted.split(".")
@@ -55,39 +53,41 @@ def _module_exists(dotted: str) -> bool:
         stem = "/".join(words[:length])
         for file in (f"{stem}.py", f"{stem}/__init__.py"):
             if file in SHIPPED:
-                return length == len(words) or re.search(rf"\b{words[length]}\b", _text(file)) is not None
+                return length == len(words) or re.search(rf"\b{words[length]}\b", text_of(file)) is not None
     return False
 
 
+@functools.cache
 def _path_exists(path: str) -> bool:
     return path in FOLDERS or path in WRITTEN or f"{path}.py" in SHIPPED or any(ROOT.glob(path))
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_no_document_is_named_that_is_not_shipped(name: str) -> None:
-    assert UNSHIPPED.findall(_text(name)) == []
+def _missing_pages(name: str) -> set[str]:
+    pages = {page for page in _PAGE.findall(text_of(name)) if "://" not in page}
+    return {page for page in pages if Path(page).name not in NAMES | WRITTEN}
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_pages_exist(name: str) -> None:
-    pages = {page for page in _PAGE.findall(_text(name)) if "://" not in page}
-    assert {page for page in pages if Path(page).name not in NAMES | WRITTEN} == set()
+def test_no_document_is_named_that_is_not_shipped() -> None:
+    assert offences(TEXTS, lambda name: UNSHIPPED.findall(text_of(name))) == {}
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_paths_exist(name: str) -> None:
-    assert {path for path in _PATH.findall(_text(name)) if not _path_exists(path)} == set()
+def test_pages_exist() -> None:
+    assert offences(TEXTS, _missing_pages) == {}
 
 
-@pytest.mark.parametrize("name", [name for name in TEXTS if name.endswith(".py")])
-def test_modules_that_docstrings_name_exist(name: str) -> None:
-    assert {module for module in _MODULE.findall(_text(name)) if not _module_exists(module)} == set()
+def test_paths_exist() -> None:
+    assert offences(TEXTS, lambda name: {p for p in _PATH.findall(text_of(name)) if not _path_exists(p)}) == {}
+
+
+def test_modules_that_docstrings_name_exist() -> None:
+    files = [name for name in TEXTS if name.endswith(".py")]
+    assert offences(files, lambda name: {m for m in _MODULE.findall(text_of(name)) if not _module_exists(m)}) == {}
 
 
 @pytest.mark.parametrize("room", THEORY)
 def test_a_room_s_readme_names_its_files(room: str) -> None:
     files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
-    assert {name for name in files if name not in _text(f"{room}/README.md")} == set()
+    assert {name for name in files if name not in text_of(f"{room}/README.md")} == set()
 
 
 def test_every_room_has_a_readme() -> None:

@@ -6,9 +6,8 @@ import ast
 import sys
 from pathlib import Path
 
-import pytest
+from sitl_tests.architecture.sources import ROOT, offences, python_files, tree_of
 
-ROOT = Path(__file__).resolve().parents[2]
 ANY = frozenset({"*"})  # every room of the package and the mission scripts, or every third party
 EVERYWHERE = frozenset({"units", "rate_limiter"})  # importable by every room
 
@@ -128,17 +127,14 @@ PURE_FORBIDDEN = {
 WALL_CLOCK = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.today", "datetime.datetime.now"}
 
 
-def _modules(*tops: str) -> list[tuple[str, Path]]:
-    listed = []
-    for top in tops:
-        for path in sorted((ROOT / top).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            listed.append((".".join(parts[:-1] if parts[-1] == "__init__" else parts), path))
-    return listed
+def _module(name: str) -> str:
+    """Dotted name of a file."""
+    parts = Path(name).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = _modules("companion", "mission_scripts")
-PROGRAMS = _modules("tools")
+MODULES = python_files("companion", "mission_scripts")
+PROGRAMS = python_files("tools")
 
 
 def _room(module: str) -> str:
@@ -168,36 +164,36 @@ def _allowed(name: str, ours: frozenset[str], third: frozenset[str]) -> bool:
     return third == ANY or top in third
 
 
-@pytest.mark.parametrize(("module", "path"), MODULES + PROGRAMS, ids=[name for name, _ in MODULES + PROGRAMS])
-def test_a_room_imports_only_what_the_table_allows(module: str, path: Path) -> None:
-    ours, third = TABLE[_room(module)]
-    wrong = [
-        f"{path.name}:{line} {name}"
-        for line, name in _imports(ast.parse(path.read_text()))
-        if not _allowed(name, ours, third)
-    ]
-    assert not wrong, f"{module} may not import: {wrong}"
+def _forbidden_imports(name: str) -> list[str]:
+    ours, third = TABLE[_room(_module(name))]
+    return [f"line {line}: {other}" for line, other in _imports(tree_of(name)) if not _allowed(other, ours, third)]
 
 
-@pytest.mark.parametrize(
-    ("module", "path"), [m for m in MODULES if m[0].startswith("companion.core")], ids=lambda value: str(value)[-40:]
-)
-def test_the_core_is_pure(module: str, path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    wrong = [name for _, name in _imports(tree) if name.split(".")[0] in PURE_FORBIDDEN]
-    calls = [ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    wrong += [call for call in calls if call in ("print", "open", "input") or ".random." in call]
-    assert not wrong, f"{module} is core and may not use {wrong}"
+def _calls(name: str) -> set[str]:
+    return {ast.unparse(node.func) for node in ast.walk(tree_of(name)) if isinstance(node, ast.Call)}
 
 
-@pytest.mark.parametrize(("module", "path"), MODULES, ids=[name for name, _ in MODULES])
-def test_clocks_are_read_in_their_rooms_and_never_the_wall_clock(module: str, path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    calls = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    assert not calls & WALL_CLOCK, f"{module} reads the wall clock: {calls & WALL_CLOCK}"
-    if not module.startswith(CLOCK_ROOMS):
-        monotonic = {call for call in calls if call.startswith("time.")}
-        assert not monotonic, f"{module} reads a clock: {monotonic}"
+def _impure(name: str) -> set[str]:
+    imports = {other for _, other in _imports(tree_of(name)) if other.split(".")[0] in PURE_FORBIDDEN}
+    return imports | {call for call in _calls(name) if call in ("print", "open", "input") or ".random." in call}
+
+
+def _clock_reads(name: str) -> set[str]:
+    calls = _calls(name)
+    monotonic = () if _module(name).startswith(CLOCK_ROOMS) else (call for call in calls if call.startswith("time."))
+    return calls & WALL_CLOCK | {*monotonic}
+
+
+def test_a_room_imports_only_what_the_table_allows() -> None:
+    assert offences(MODULES + PROGRAMS, _forbidden_imports) == {}
+
+
+def test_the_core_is_pure() -> None:
+    assert offences((name for name in MODULES if name.startswith("companion/core/")), _impure) == {}
+
+
+def test_clocks_are_read_in_their_rooms_and_never_the_wall_clock() -> None:
+    assert offences(MODULES, _clock_reads) == {}
 
 
 def test_the_top_level_is_fixed() -> None:
@@ -212,7 +208,7 @@ def test_the_top_level_is_fixed() -> None:
 
 
 def test_every_room_of_the_table_exists() -> None:
-    names = {name for name, _ in MODULES + PROGRAMS}
+    names = {_module(name) for name in MODULES + PROGRAMS}
     missing = [
         room for room in TABLE if room not in names and room not in ("companion.service.wiring", "mission_scripts")
     ]

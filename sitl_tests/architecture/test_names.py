@@ -5,15 +5,11 @@ from __future__ import annotations
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
-import pytest
+from sitl_tests.architecture.sources import offences, python_files, tree_of
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = sorted((ROOT / "companion").rglob("*.py")) + sorted((ROOT / "mission_scripts").rglob("*.py"))
-MODULES = {str(path.relative_to(ROOT)): path for path in PACKAGE}
-PROGRAMS = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "tools").rglob("*.py"))}
-TESTS = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "sitl_tests").rglob("*.py"))}
+MODULES = python_files("companion", "mission_scripts")
+ALL_FILES = [*MODULES, *python_files("tools", "sitl_tests")]
 
 # words that carry no type of thing; ``left`` is a wing, so it is not among them
 EMPTY_WORDS = frozenset(
@@ -112,33 +108,34 @@ def _defined(tree: ast.Module) -> Iterator[str]:
             yield node.name
 
 
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def _empty_words(name: str) -> set[str]:
+    names = {defined for defined in _defined(tree_of(name)) if (name, defined) not in ON_DISK}
+    return {defined for defined in names if defined.strip("_").lower() in EMPTY_WORDS}
+
+
+def _empty_openings(name: str) -> list[str]:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    texts = [ast.get_docstring(node) or "" for node in ast.walk(tree_of(name)) if isinstance(node, kinds)]
+    return [text.splitlines()[0] for text in texts if text.startswith(("Of ", "By ", "What ", "Let "))]
 
 
 def test_a_class_name_stands_for_one_thing() -> None:
     places: dict[str, list[str]] = defaultdict(list)
-    for name, path in MODULES.items():
+    for name in MODULES:
         if name.startswith("companion/"):
-            for node in ast.walk(_tree(path)):
+            for node in ast.walk(tree_of(name)):
                 if isinstance(node, ast.ClassDef):
                     places[node.name].append(name)
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS, **TESTS}))
-def test_no_variable_is_called_by_an_empty_word(name: str) -> None:
-    names = {defined for defined in _defined(_tree(ROOT / name)) if (name, defined) not in ON_DISK}
-    assert {defined for defined in names if defined.strip("_").lower() in EMPTY_WORDS} == set()
+def test_no_variable_is_called_by_an_empty_word() -> None:
+    assert offences(ALL_FILES, _empty_words) == {}
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_no_retired_name_is_back(name: str) -> None:
-    assert RETIRED & set(_defined(_tree(MODULES[name]))) == set()
+def test_no_retired_name_is_back() -> None:
+    assert offences(MODULES, lambda name: RETIRED & set(_defined(tree_of(name)))) == {}
 
 
-@pytest.mark.parametrize("name", sorted({**MODULES, **PROGRAMS, **TESTS}))
-def test_no_docstring_opens_with_an_empty_word(name: str) -> None:
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    texts = [ast.get_docstring(node) or "" for node in ast.walk(_tree(ROOT / name)) if isinstance(node, kinds)]
-    assert [text.splitlines()[0] for text in texts if text.startswith(("Of ", "By ", "What ", "Let "))] == []
+def test_no_docstring_opens_with_an_empty_word() -> None:
+    assert offences(ALL_FILES, _empty_openings) == {}

@@ -5,13 +5,10 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
-import pytest
+from sitl_tests.architecture.sources import offences, python_files, tree_of
 
-ROOT = Path(__file__).resolve().parents[2]
-FILES = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "companion").rglob("*.py"))}
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
+TREES = {name: tree_of(name) for name in python_files("companion")}
 
 ARRAY = re.compile(r"\b(Floats|Floats32|Ints|Bools|Complexes|Array|NDArray|ndarray|Image|Images|ArrayLike)\b")
 # (n,), (2, n), (5 + 4 (m - 1),), or a sentence about the shape
@@ -61,6 +58,5 @@ def _without_shape(name: str) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_public_functions_of_arrays_state_shapes(name: str) -> None:
-    assert not _without_shape(name)
+def test_public_functions_of_arrays_state_shapes() -> None:
+    assert offences(TREES, _without_shape) == {}
