@@ -27,6 +27,7 @@ from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
 CHANNELS = 6  # specific force x y z, rate p q r (by definition)
+_SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _MAX_RANGE_RATIO = 1.05  # chosen: calibration may exceed the range by this much, nothing else
 _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1/6)^2), in sigmas of a sample
 
@@ -194,6 +195,12 @@ class SampleBuffer:
             (Reject.TOO_LATE, late & ~infinite & ~clipped),
         )
         return [Rejected(why, _name(batch), batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
+
+    def is_saturated(self, t_ns: int) -> bool:
+        """Whether samples at its limits spoil the stream at an instant: a refused one lately, or too many."""
+        return self.clipping.blinds or (
+            self.saturated_ns is not None and t_ns - self.saturated_ns < _SATURATION_HOLD_NS
+        )
 
     def _take(self, t_ns: Ints, values: Floats) -> None:
         """Queue samples until they are needed."""

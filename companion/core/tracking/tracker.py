@@ -41,7 +41,6 @@ from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, R
 
 _HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
 _MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then lines are searched for
-_SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
 _BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
@@ -322,10 +321,9 @@ class WingTracker:
         stale |= now_host_ns - self._next_ns > (self._settings.reorder_window_s + self._settings.stale_s) * 1e9
         if stale:
             self._activity.settled_s = 0.0
-        recent = [s.saturated_ns for s in self._streams if s.saturated_ns is not None]
         return classify_validity(
             stale=stale,
-            saturated=any(self._next_ns - saturated_ns < _SATURATION_HOLD_NS for saturated_ns in recent),
+            saturated=any(stream.is_saturated(self._next_ns) for stream in self._streams),
             settled=self._activity.settled,
             nis=self._kalman.nis,
             deflection_sigmas=self._activity.deflection_sigmas,
