@@ -30,7 +30,6 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-_LEAN = "mx"  # misalignment about x, which gives the lateral axis a share of the vertical force
 _TAUGHT_FALSELY = ("shortening", "trim")  # by a shaken tip, whose vertical vibration its lateral axis shares
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
 # load factor hardly changes, its noise would draw the estimate
@@ -139,16 +138,13 @@ class SeparatedBiasFilter:
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
-        shortening's too; and by its product with the bend the latter teaches the trim. The tip's lateral axis shares
-        its vertical vibration, as one that leans would.
+        shortening's too; and by its product with the bend the latter teaches the trim.
         """
-        sides = ("left", "right")
-        shaken_tips = [side for side, loud in zip(sides, shaken, strict=True) if loud]
-        tips = [side for side, mute in zip(sides, self.layout.mute_tips, strict=True) if mute or side in shaken_tips]
-        names = [f"{tip}.{scale}" for tip in tips for scale in _SCALES]
-        names += self._slopes() if tips else []
-        if shaken_tips:
-            names += [*_TAUGHT_FALSELY, *(f"{tip}.{_LEAN}" for tip in shaken_tips)]
+        tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
+        places = [place for place, loud, mute in tips if loud or mute]
+        names = [f"{place}.{scale}" for place in places for scale in _SCALES]
+        names += self._slopes() if places else []
+        names += _TAUGHT_FALSELY if any(shaken) else []
         names = [name for name in names if name in self.layout.bias_parameters]
         again = [name for name in self._considered_now if name not in names]
         if again:
