@@ -11,9 +11,9 @@ from scipy.signal import butter, sosfilt
 from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum, StaticBendResponse
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
 from companion.core.tracking.adaptation.spectral_fit import _MISFIT, _NOISE_LEAPS, _misfit, _noise_beyond, _with_noise
-from companion.core.tracking.adaptation.whittle import WhittleFit, fit
+from companion.core.tracking.adaptation.whittle import LogNormalPrior, WhittleFit, fit
 from companion.core.tracking.error_jacobians import error_columns
-from companion.core.tracking.parameters import CORNER_1, CORNER_2, FREQUENCY
+from companion.core.tracking.parameters import CORNER_1, CORNER_2, FREQUENCY, LOAD
 from companion.core.tracking.rigid_body import BEFORE, _RootNoise, build_epochs
 from companion.core.tracking.states import Y_LEFT, make_layout
 from companion.core.tracking.streams import StreamSamples
@@ -44,14 +44,21 @@ def _learned(seed: int, shaken_mps2: float, start: Floats = LOGS) -> tuple[Whitt
     periodogram, prior, ratio = _shaken(seed, shaken_mps2), _prior(), 1.0
     plain = best = fit(periodogram, prior, start.copy(), 12)
     for second in range(5):
-        stages = _with_noise(_louder, ratio, _NOISE_LEAPS[second % 3], periodogram, prior, best)
-        while True:
-            try:
-                next(stages)
-            except StopIteration as end:
-                periodogram, best, ratio = end.value
-                break
+        periodogram, best, ratio = _leapt(ratio, _NOISE_LEAPS[second % 3], periodogram, prior, best)
     return plain, best, ratio
+
+
+def _leapt(
+    ratio: float, leap: float | None, periodogram: Periodogram, prior: LogNormalPrior, best: WhittleFit
+) -> tuple[Periodogram, WhittleFit, float]:
+    """Periodogram, fit and ratio of density after a turn of the noise."""
+    stages = _with_noise(_louder, ratio, leap, periodogram, prior, best)
+    while True:
+        try:
+            next(stages)
+        except StopIteration as end:
+            result: tuple[Periodogram, WhittleFit, float] = end.value
+            return result
 
 
 def test_vibration_is_learned_as_noise_and_leaves_the_gust_its_corners() -> None:
@@ -80,6 +87,22 @@ def test_strong_vibration_under_a_usual_gust_is_no_white_gust() -> None:
         shaken, prior = _shaken(seed, shaken_mps2), _prior()
         assert _misfit(shaken, prior, plain.log_params) > _MISFIT
         assert _misfit(shaken.with_noise(_louder(ratio)), prior, best.log_params) < 1.2
+
+
+def test_a_white_gust_that_passed_for_vibration_is_recognised_by_the_leap_back() -> None:
+    """Noise as dense as the load explains all but the mode's foot, and no step from there leads to a quiet sensor."""
+    white = LOGS.copy()
+    white[[CORNER_1, CORNER_2]] = np.log([500.0, 1000.0])
+    for seed in range(4):
+        mistaken = float(np.exp(white[LOAD])) / BELIEVED.white
+        loud = make_periodogram(_simulate(20.0, seed, white), STEP_S, BAND_HZ, _louder(mistaken))
+        best, ratio = fit(loud, _prior(), LOGS, 12), mistaken
+        for leap in _NOISE_LEAPS:
+            loud, best, ratio = _leapt(ratio, leap, loud, _prior(), best)
+        assert ratio > 0.1 * mistaken
+        _, best, ratio = _leapt(ratio, None, loud, _prior(), best)
+        assert ratio == 1.0
+        assert np.all(np.abs(best.log_params - white)[:2] < 3.0 * best.log_sigma[:2])
 
 
 def test_what_bins_show_that_do_not_count_is_noise() -> None:

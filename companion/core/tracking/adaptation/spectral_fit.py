@@ -37,6 +37,7 @@ from companion.core.tracking.parameters import (
     CORNER_1,
     CORNER_2,
     FREQUENCY,
+    FURTHER_PARAMETERS,
     LOAD,
     ModeParameters,
     ParameterIndex,
@@ -58,6 +59,7 @@ _NOISE_STEPS = (8.0, 2.0, 0.5)  # chosen, of density: noise many times the belie
 # chosen, in turns, of the density in the upper half of the band: between a quiet sensor under a white gust and a shaken
 # sensor under a slow one nothing fits, so that steps do not lead from one to the other
 _NOISE_LEAPS = (1.0, 0.25, 4.0)
+_LOUD = 100.0  # chosen, of density: above it every second leap leads back, to a quiet sensor under a white gust
 _NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
 _NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
@@ -195,8 +197,9 @@ class SpectralFit:
         best: WhittleFit,
     ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
         """Periodogram and fit with the noise that explains most, and the ratio of it that the filter takes."""
-        leap = _NOISE_LEAPS[(self.fits + 1) // 2 % len(_NOISE_LEAPS)]
-        fitted, best, ratio = yield from _with_noise(louder, self._noise_ratios[which[0]], leap, fitted, prior, best)
+        turn, ratio = (self.fits + 1) // 2, self._noise_ratios[which[0]]
+        leap = None if ratio > _LOUD and turn % 2 else _NOISE_LEAPS[turn % len(_NOISE_LEAPS)]
+        fitted, best, ratio = yield from _with_noise(louder, ratio, leap, fitted, prior, best)
         limited = _misfit(full.with_noise(louder(ratio)), prior, best.log_params) > _MISFIT
         for k in which:
             self._noise_ratios[k], self._limited[k] = ratio, limited
@@ -295,21 +298,16 @@ def _join(families: list[ModeParameters]) -> LogNormalPrior:
 def _with_noise(
     louder: Callable[[float], NoiseSpectrum],
     ratio: float,
-    leap: float,
+    leap: float | None,
     periodogram: Periodogram,
     prior: LogNormalPrior,
     best: WhittleFit,
 ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
     """Periodogram, fit and ratio with other noise than that of ``ratio``, where it explains clearly more.
 
-    ``leap`` is in ratios to what explains the upper half of the band alone. No sensor is taken for better than its file
-    says.
+    ``leap`` is that of :func:`_leapt`. No sensor is taken for better than its file says.
     """
-    used = periodogram.weight > 0.0
-    upper = used & (periodogram.frequency_hz > 0.5 * periodogram.frequency_hz[used][-1])
-    alone = 1.0 + _noise_ratio(louder, periodogram, upper, louder(1.0)(periodogram.frequency_hz))
-    slow = _with_corners(best.log_params, prior.places, _CORNERS_HZ[0])
-    trials = [(leap * alone, slow, 2 * _MAX_SCORING_STEPS)]
+    trials = [_leapt(louder, leap, periodogram, prior, best.log_params)]
     trials += [(factor * ratio, best.log_params, 3) for factor in _NOISE_STEPS]
     for tried, start, steps in trials:
         if tried < 1.0:
@@ -321,6 +319,29 @@ def _with_noise(
             periodogram, best, ratio = other_periodogram, other, tried
         yield
     return periodogram, best, ratio
+
+
+def _leapt(
+    louder: Callable[[float], NoiseSpectrum],
+    leap: float | None,
+    periodogram: Periodogram,
+    prior: LogNormalPrior,
+    log_params: Floats,
+) -> tuple[float, Floats, int]:
+    """Noise ratio far from the present one, the start (p,) of a fit with it, and its scoring steps.
+
+    Noise that explains the upper half of the band alone, ``leap`` times, beside a slow gust; for None the believed
+    noise beside a white gust, and further modes as believed: they fill what white noise leaves.
+    """
+    if leap is None:
+        start = _with_corners(log_params, prior.places, _CORNERS_HZ[-1])
+        for at in prior.places.further:
+            start[at : at + FURTHER_PARAMETERS] = prior.mean[at : at + FURTHER_PARAMETERS]
+        return 1.0, start, 3 * _MAX_SCORING_STEPS
+    used = periodogram.weight > 0.0
+    upper = used & (periodogram.frequency_hz > 0.5 * periodogram.frequency_hz[used][-1])
+    alone = 1.0 + _noise_ratio(louder, periodogram, upper, louder(1.0)(periodogram.frequency_hz))
+    return leap * alone, _with_corners(log_params, prior.places, _CORNERS_HZ[0]), 2 * _MAX_SCORING_STEPS
 
 
 def _misfit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> float:
