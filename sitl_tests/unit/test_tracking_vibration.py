@@ -9,8 +9,15 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum, StaticBendResponse
+from companion.core.tracking.adaptation.noise_search import (
+    MOST_DEVIANCE,
+    NOISE_LEAPS,
+    deviance_per_bin,
+    fit_with_noise,
+    next_leap,
+    noise_beyond,
+)
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
-from companion.core.tracking.adaptation.spectral_fit import _MISFIT, _NOISE_LEAPS, _misfit, _noise_beyond, _with_noise
 from companion.core.tracking.adaptation.whittle import LogNormalPrior, WhittleFit, fit
 from companion.core.tracking.error_jacobians import error_columns
 from companion.core.tracking.parameters import CORNER_1, CORNER_2, FREQUENCY, LOAD
@@ -44,7 +51,7 @@ def _learned(seed: int, shaken_mps2: float, start: Floats = LOGS) -> tuple[Whitt
     periodogram, prior, ratio = _shaken(seed, shaken_mps2), _prior(), 1.0
     plain = best = fit(periodogram, prior, start.copy(), 12)
     for second in range(5):
-        periodogram, best, ratio = _leapt(ratio, _NOISE_LEAPS[second % 3], periodogram, prior, best)
+        periodogram, best, ratio = _leapt(ratio, NOISE_LEAPS[second % 3], periodogram, prior, best)
     return plain, best, ratio
 
 
@@ -52,7 +59,7 @@ def _leapt(
     ratio: float, leap: float | None, periodogram: Periodogram, prior: LogNormalPrior, best: WhittleFit
 ) -> tuple[Periodogram, WhittleFit, float]:
     """Periodogram, fit and ratio of density after a turn of the noise."""
-    stages = _with_noise(_louder, ratio, leap, periodogram, prior, best)
+    stages = fit_with_noise(_louder, ratio, leap, periodogram, prior, best)
     while True:
         try:
             next(stages)
@@ -85,8 +92,8 @@ def test_strong_vibration_under_a_usual_gust_is_no_white_gust() -> None:
         assert ratio == pytest.approx(STRONG, rel=0.25)
         assert abs(best.log_params[FREQUENCY] - LOGS[FREQUENCY]) < 3.0 * best.log_sigma[FREQUENCY]
         shaken, prior = _shaken(seed, shaken_mps2), _prior()
-        assert _misfit(shaken, prior, plain.log_params) > _MISFIT
-        assert _misfit(shaken.with_noise(_louder(ratio)), prior, best.log_params) < 1.2
+        assert deviance_per_bin(shaken, prior, plain.log_params) > MOST_DEVIANCE
+        assert deviance_per_bin(shaken.with_noise(_louder(ratio)), prior, best.log_params) < 1.2
 
 
 def test_a_white_gust_that_passed_for_vibration_is_recognised_by_the_leap_back() -> None:
@@ -97,7 +104,7 @@ def test_a_white_gust_that_passed_for_vibration_is_recognised_by_the_leap_back()
         mistaken = float(np.exp(white[LOAD])) / BELIEVED.white
         loud = make_periodogram(_simulate(20.0, seed, white), STEP_S, BAND_HZ, _louder(mistaken))
         best, ratio = fit(loud, _prior(), LOGS, 12), mistaken
-        for leap in _NOISE_LEAPS:
+        for leap in NOISE_LEAPS:
             loud, best, ratio = _leapt(ratio, leap, loud, _prior(), best)
         assert ratio > 0.1 * mistaken
         _, best, ratio = _leapt(ratio, None, loud, _prior(), best)
@@ -105,11 +112,17 @@ def test_a_white_gust_that_passed_for_vibration_is_recognised_by_the_leap_back()
         assert np.all(np.abs(best.log_params - white)[:2] < 3.0 * best.log_sigma[:2])
 
 
+def test_a_leap_back_is_tried_every_second_turn_of_loud_noise_and_never_beside_clipped_samples() -> None:
+    assert [next_leap(turn, 1e4, clipped=False) for turn in range(7)] == [1.0, None, 4.0, None, 0.25, None, 1.0]
+    quiet = [next_leap(turn, 2.0, clipped=False) for turn in range(7)]
+    assert quiet == [next_leap(turn, 1e4, clipped=True) for turn in range(7)] == [*NOISE_LEAPS, *NOISE_LEAPS, 1.0]
+
+
 def test_what_bins_show_that_do_not_count_is_noise() -> None:
     shaken = _shaken(0, math.sqrt(STRONG * BELIEVED.white * BAND_WIDTH_HZ)).below(50.0)
     assert not shaken.weight[shaken.frequency_hz > 50.0].any()
-    assert _noise_beyond(_louder, shaken, _prior(), LOGS) == pytest.approx(STRONG, rel=0.1)
-    assert _noise_beyond(_louder, _shaken(0, 0.0).below(50.0), _prior(), LOGS) == 0.0
+    assert noise_beyond(_louder, shaken, _prior(), LOGS) == pytest.approx(STRONG, rel=0.1)
+    assert noise_beyond(_louder, _shaken(0, 0.0).below(50.0), _prior(), LOGS) == 0.0
 
 
 def test_a_sensor_as_quiet_as_believed_is_taken_as_such() -> None:

@@ -15,6 +15,7 @@ _MEMORY_S = 4.0  # chosen: the share of a vibration that swells and fades within
 # ten sigmas where 32 % are
 MOST_SHARE = 0.2
 """Clipped samples of an axis, as a share of all, above which nothing rests on the rest."""
+_OFTEN = 0.005  # derived: what so many leave is noise of 1e5 times a quiet sensor's density (noise_search.next_leap)
 _LONGEST_RUN_S = 0.004  # derived: of a vibration of 31 Hz a quarter is clipped so; a longer peak is a blow's
 
 
@@ -56,6 +57,11 @@ class Clipping:
     def active(self) -> bool:
         """Whether anything was clipped lately."""
         return self._runs > 0.0
+
+    @property
+    def often(self) -> bool:
+        """Whether so much is clipped that the noise of what it leaves is many times the sensor's."""
+        return bool(self.clipped_ratio.sum(axis=0).max() > _OFTEN)
 
     @property
     def blinds(self) -> bool:

@@ -201,7 +201,8 @@ class WingTracker:
                 contradicted = self._refused or self._kalman.nis > NIS_LIMIT
                 gate_excess = self._kalman.gate_excess(segment.length)
                 clean = self._rare_gates.without(segment, gate_excess, self._step_s, learning=self._adaptation.early)
-                fit = self._adaptation.add_epochs(clean, contradicted, hold=self._blow.under_way)
+                clipped = any(stream.clipping.often for stream in self._streams)
+                fit = self._adaptation.add_epochs(clean, contradicted, self._blow.under_way, clipped)
                 if fit.stages is not None:
                     self._begin_readaptation(fit.stages)
                 if fit.due and self._readaptation is not None:

@@ -111,12 +111,14 @@ class Adaptation:
         """Bias parameters (c,) and bend per g, m, as estimated; they correct the whole stored history."""
         self._bias_parameters, self._bend_per_g_m = bias_parameters.copy(), bend_per_g_m
 
-    def add_epochs(self, epochs: Epochs, contradicted: bool = False, hold: bool = False) -> FitProgress:
+    def add_epochs(
+        self, epochs: Epochs, contradicted: bool = False, hold: bool = False, clipped: bool = False
+    ) -> FitProgress:
         """Take epochs; a fit begins or ends with them.
 
         ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A further
         mode then needs no evidence from the vertical axes: a gyro, which the fit does not use, shows one a hundred
-        times better. ``hold``: no fit begins (a blow, or its ringing, is in the history).
+        times better. ``hold``: no fit begins (the history has a blow, or its ringing). ``clipped``: samples often are.
         """
         size = len(self._rows)
         first, last = self._count % size, self._count % size + epochs.length
@@ -130,7 +132,7 @@ class Adaptation:
         )
         self.refilter = self.early
         self._count += epochs.length
-        stages = self._begun(contradicted, hold) if self._count >= self._next else None
+        stages = self._begun(contradicted, hold, clipped) if self._count >= self._next else None
         due = self._due is not None and self._count >= self._due
         if due:
             self._due = None
@@ -148,7 +150,7 @@ class Adaptation:
         """Give up the running fit."""
         self._due = None
 
-    def _begun(self, contradicted: bool, hold: bool) -> Stages[WingParameters] | None:
+    def _begun(self, contradicted: bool, hold: bool, clipped: bool) -> Stages[WingParameters] | None:
         """Stages of a fit of the history; None while held, or where too little of it is present."""
         elapsed_s = self._count * self._step_s
         self._next = round((np.floor(elapsed_s / _PERIOD_S + 1e-6) + 1.0) * _PERIOD_S / self._step_s)
@@ -167,7 +169,7 @@ class Adaptation:
         self._due = self._count if self.refilter else self._count + round(SPREAD_S / self._step_s)
         single_tip = None if tips.all() else int(np.argmax(tips))
         estimates = (self.parameters, self._aliasing_noise, self._bend_per_g_m)
-        return self._fit.stages(FitInput(rows[since:], single_tip, elapsed_s, *estimates, contradicted))
+        return self._fit.stages(FitInput(rows[since:], single_tip, elapsed_s, *estimates, contradicted, clipped))
 
     def _last_gap(self, present: Bools) -> int:
         """Beginning of the newest segment with both tips, if one of them was absent for a while; 0 where neither was.

@@ -21,52 +21,39 @@ from companion.core.tracking.adaptation.frequency_drift import (
     to_warped_time,
 )
 from companion.core.tracking.adaptation.noise_psd import VIBRATION_HZ, NoiseSpectrum
+from companion.core.tracking.adaptation.noise_search import (
+    CORNERS_HZ,
+    MAX_SCORING_STEPS,
+    MOST_DEVIANCE,
+    deviance_per_bin,
+    fit_with_noise,
+    next_leap,
+    noise_beyond,
+    with_corners,
+)
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
 from companion.core.tracking.adaptation.slow_load import slow_corner_hz
 from companion.core.tracking.adaptation.whittle import (
     LogNormalPrior,
     WhittleFit,
-    expected_power,
     find_unmodelled_peak,
     fit,
     neg_log_likelihood,
     scan,
 )
 from companion.core.tracking.model import WingParameters
-from companion.core.tracking.parameters import (
-    CORNER_1,
-    CORNER_2,
-    FREQUENCY,
-    FURTHER_PARAMETERS,
-    LOAD,
-    ModeParameters,
-    ParameterIndex,
-    parameter_index,
-    parameter_limits,
-)
+from companion.core.tracking.parameters import FREQUENCY, LOAD, ModeParameters, parameter_index, parameter_limits
 from companion.core.tracking.spread_work import Stages
-from companion.records import Bools, Floats
+from companion.records import Floats
 
 SEGMENT_S = 4.0  # chosen: short, so that a drifting peak is hardly broadened
 EARLY_S = 10.0  # chosen: until then the filter starts again with new parameters
 _SCAN_UNTIL_S = 6.0  # chosen: until then every fit scans the frequency
 _PEAK_EVIDENCE = 8.0  # chosen, log likelihood: pays for looking at many frequencies
 _FURTHER_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its parameters
-_PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
-_CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
-_MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
-_NOISE_STEPS = (8.0, 2.0, 0.5)  # chosen, of density: noise many times the belief shows where twice it does not
-# chosen, in turns, of the density in the upper half of the band: between a quiet sensor under a white gust and a shaken
-# sensor under a slow one nothing fits, so that steps do not lead from one to the other
-_NOISE_LEAPS = (1.0, 0.25, 4.0)
-_LOUD = 100.0  # chosen, of density: above it every second leap leads back, to a quiet sensor under a white gust
-_NOISE_SIGMA = np.log(8.0)  # chosen: of the density's logarithm; vibration is many times a quiet sensor's noise
-_NOISE_GAIN = 6.0  # chosen, log posterior: a white gust's tail looks like noise, and vibration shows by a hundred
 _MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
+_PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
 _MODES_REACH = 1.7  # chosen, of the highest believed frequency: a further mode may lie so much higher
-_CLEAR_EXCESS = 0.3  # chosen, of the expected power: a gust's tail is extrapolated no better
-_MISFIT = 2.0  # chosen, deviance per bin: 0.8 to 1.2 under gusts alone, up to 18 beside a petrol engine
-_LEAST_RATIO = 1e-12  # numerical: a still sensor's power is 0
 _MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
 _PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
 _MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
@@ -90,6 +77,8 @@ class FitInput(NamedTuple):
     bend_per_g_m : float
     contradicted : bool
         The filter cannot explain its measurements: a further mode needs no evidence.
+    clipped : bool
+        Samples are clipped often: their noise is what it shows (:func:`.noise_search.next_leap`).
     """
 
     rows: Floats
@@ -99,6 +88,7 @@ class FitInput(NamedTuple):
     aliasing_noise: float
     bend_per_g_m: float
     contradicted: bool
+    clipped: bool
 
 
 class SpectralFit:
@@ -167,7 +157,9 @@ class SpectralFit:
             yield
         has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
         if has_turn:
-            long, best, noise_ratio = yield from self._learned_noise(louder, which, full, long, prior, best)
+            long, best, noise_ratio = yield from self._learned_noise(
+                louder, which, full, long, prior, best, inputs.clipped
+            )
         else:
             noise_ratio = inputs.parameters[which[0]].noise_ratio
         best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
@@ -195,16 +187,17 @@ class SpectralFit:
         fitted: Periodogram,
         prior: LogNormalPrior,
         best: WhittleFit,
+        clipped: bool,
     ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
         """Periodogram and fit with the noise that explains most, and the ratio of it that the filter takes."""
-        turn, ratio = (self.fits + 1) // 2, self._noise_ratios[which[0]]
-        leap = None if ratio > _LOUD and turn % 2 else _NOISE_LEAPS[turn % len(_NOISE_LEAPS)]
-        fitted, best, ratio = yield from _with_noise(louder, ratio, leap, fitted, prior, best)
-        limited = _misfit(full.with_noise(louder(ratio)), prior, best.log_params) > _MISFIT
+        ratio = self._noise_ratios[which[0]]
+        leap = next_leap((self.fits + 1) // 2, ratio, clipped)
+        fitted, best, ratio = yield from fit_with_noise(louder, ratio, leap, fitted, prior, best)
+        limited = deviance_per_bin(full.with_noise(louder(ratio)), prior, best.log_params) > MOST_DEVIANCE
         for k in which:
             self._noise_ratios[k], self._limited[k] = ratio, limited
         yield
-        return fitted, best, ratio + _noise_beyond(louder, fitted, prior, best.log_params)
+        return fitted, best, ratio + noise_beyond(louder, fitted, prior, best.log_params)
 
     def _segments(
         self, samples: Floats, band: tuple[float, float, float], noise_spectrum: NoiseSpectrum, reach_hz: float
@@ -228,27 +221,27 @@ class SpectralFit:
 
         Such a trial costs more than all the rest: the families take turns.
         """
-        trial = self.fits // 2 % (1 + len(_CORNERS_HZ))
+        trial = self.fits // 2 % (1 + len(CORNERS_HZ))
         tried = (
-            _with_corners(best.log_params, prior.places, _CORNERS_HZ[trial - 1])
+            with_corners(best.log_params, prior.places, CORNERS_HZ[trial - 1])
             if trial
             else self._with_further(inputs, periodogram, prior, best.log_params)
         )
         if np.array_equal(tried, best.log_params):
             return best
-        other = fit(periodogram, prior, tried, 2 * _MAX_SCORING_STEPS)
+        other = fit(periodogram, prior, tried, 2 * MAX_SCORING_STEPS)
         return other if other.neg_log_posterior < best.neg_log_posterior - _MIN_GAIN else best
 
     def _search(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> WhittleFit:
         """Fit from gusts with several pairs of corners: a wrong one has its own local optimum."""
         best: WhittleFit | None = None
-        for corners_hz in (None, *_CORNERS_HZ):
-            tried = start if corners_hz is None else _with_corners(start, prior.places, corners_hz)
-            result = fit(periodogram, prior, self._with_further(inputs, periodogram, prior, tried), _MAX_SCORING_STEPS)
+        for corners_hz in (None, *CORNERS_HZ):
+            tried = start if corners_hz is None else with_corners(start, prior.places, corners_hz)
+            result = fit(periodogram, prior, self._with_further(inputs, periodogram, prior, tried), MAX_SCORING_STEPS)
             if best is None or result.neg_log_posterior < best.neg_log_posterior:
                 best = result
         assert best is not None
-        return fit(periodogram, prior, best.log_params, _MAX_SCORING_STEPS)
+        return fit(periodogram, prior, best.log_params, MAX_SCORING_STEPS)
 
     def _with_further(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
         """Start with each further mode moved to an unmodelled peak, where there is enough evidence."""
@@ -293,90 +286,6 @@ def _join(families: list[ModeParameters]) -> LogNormalPrior:
     lowest[frequency] = np.minimum(lowest[frequency], mean[frequency] - _MAX_LOG_DRIFT)
     highest[frequency] = np.maximum(highest[frequency], mean[frequency] + _MAX_LOG_DRIFT)
     return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]), index)
-
-
-def _with_noise(
-    louder: Callable[[float], NoiseSpectrum],
-    ratio: float,
-    leap: float | None,
-    periodogram: Periodogram,
-    prior: LogNormalPrior,
-    best: WhittleFit,
-) -> Stages[tuple[Periodogram, WhittleFit, float]]:
-    """Periodogram, fit and ratio with other noise than that of ``ratio``, where it explains clearly more.
-
-    ``leap`` is that of :func:`_leapt`. No sensor is taken for better than its file says.
-    """
-    trials = [_leapt(louder, leap, periodogram, prior, best.log_params)]
-    trials += [(factor * ratio, best.log_params, 3) for factor in _NOISE_STEPS]
-    for tried, start, steps in trials:
-        if tried < 1.0:
-            continue
-        other_periodogram = periodogram.with_noise(louder(tried))
-        other = fit(other_periodogram, prior, start, steps)
-        before, after = 0.5 * (np.log([ratio, tried]) / _NOISE_SIGMA) ** 2
-        if other.neg_log_posterior + after < best.neg_log_posterior + before - _NOISE_GAIN:
-            periodogram, best, ratio = other_periodogram, other, tried
-        yield
-    return periodogram, best, ratio
-
-
-def _leapt(
-    louder: Callable[[float], NoiseSpectrum],
-    leap: float | None,
-    periodogram: Periodogram,
-    prior: LogNormalPrior,
-    log_params: Floats,
-) -> tuple[float, Floats, int]:
-    """Noise ratio far from the present one, the start (p,) of a fit with it, and its scoring steps.
-
-    Noise that explains the upper half of the band alone, ``leap`` times, beside a slow gust; for None the believed
-    noise beside a white gust, and further modes as believed: they fill what white noise leaves.
-    """
-    if leap is None:
-        start = _with_corners(log_params, prior.places, _CORNERS_HZ[-1])
-        for at in prior.places.further:
-            start[at : at + FURTHER_PARAMETERS] = prior.mean[at : at + FURTHER_PARAMETERS]
-        return 1.0, start, 3 * _MAX_SCORING_STEPS
-    used = periodogram.weight > 0.0
-    upper = used & (periodogram.frequency_hz > 0.5 * periodogram.frequency_hz[used][-1])
-    alone = 1.0 + _noise_ratio(louder, periodogram, upper, louder(1.0)(periodogram.frequency_hz))
-    return leap * alone, _with_corners(log_params, prior.places, _CORNERS_HZ[0]), 2 * _MAX_SCORING_STEPS
-
-
-def _misfit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> float:
-    """Deviance per bin of a fit from ``start`` (p,) to all bins; about 1 by chance."""
-    fitted = fit(periodogram, prior, start, 2 * _MAX_SCORING_STEPS)
-    ratio = np.maximum(periodogram.power / expected_power(periodogram, prior, fitted.log_params), _LEAST_RATIO)
-    return 2.0 * float(np.mean(periodogram.weight * (ratio - 1.0 - np.log(ratio))))
-
-
-def _noise_beyond(
-    louder: Callable[[float], NoiseSpectrum], periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats
-) -> float:
-    """Ratio of the believed noise that the bins which were not fitted show beyond the fit; 0 where it is little."""
-    beyond = periodogram.weight == 0.0
-    if not beyond.any():
-        return 0.0
-    expected = expected_power(periodogram, prior, log_params)
-    excess = float(np.median(periodogram.power[beyond] / expected[beyond])) - 1.0
-    return _noise_ratio(louder, periodogram, beyond, expected) if excess > _CLEAR_EXCESS else 0.0
-
-
-def _noise_ratio(
-    louder: Callable[[float], NoiseSpectrum], periodogram: Periodogram, bins: Bools, explained: Floats
-) -> float:
-    """Ratio of the believed noise that explains the rest of the power in some bins (b,); none is negative."""
-    frequency_hz = periodogram.frequency_hz[bins]
-    believed = louder(2.0)(frequency_hz) - louder(1.0)(frequency_hz)
-    return max(0.0, float(np.median((periodogram.power - explained)[bins] / believed)))
-
-
-def _with_corners(start: Floats, index: ParameterIndex, corners_hz: tuple[float, float]) -> Floats:
-    """Start with other corners of the gust."""
-    moved = start.copy()
-    moved[index.first + CORNER_1], moved[index.first + CORNER_2] = np.log(corners_hz)
-    return moved
 
 
 def _prune_insignificant_modes(
