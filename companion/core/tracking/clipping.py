@@ -35,9 +35,10 @@ class Clipping:
     Once a few peaks have shown that the sensor vibrates, those beyond its range L are held at the limit. Of a mean
     ``m`` beside a vibration ``v`` that is even about zero, clipping takes ``E (m + v - L)+ - E (-m - v - L)+``, the
     integral from ``L - m`` to ``L + m`` of the share ``Q`` of ``v`` that lies beyond. Q is counted at both ends, as
-    what is clipped above and below; its square root is taken as linear between them, which is exact for a sine that
-    just reaches the limit and within 2 % for a Gaussian's tail. The loss is m times ``2/3 (Q+ + sqrt(Q+ Q-) + Q-)``,
-    and what remains is divided by the share that remains.
+    what is clipped above and below, and its square root taken as linear between them: the loss is m times
+    ``2/3 (Q+ + sqrt(Q+ Q-) + Q-)``. That is exact for a sine that just reaches the limit and a small mean; beside a
+    Gaussian and a range of 16 g a mean of 1 g is restored to 0.05 %, one of 2 g to 0.2 %. What is left is divided by
+    the share that remains.
 
     Attributes
     ----------
@@ -59,14 +60,19 @@ class Clipping:
         return self._runs > 0.0
 
     @property
+    def _largest_share(self) -> float:
+        """Share of the axis that is clipped most; nearly always nothing is."""
+        return float(self.clipped_ratio.sum(axis=0).max()) if self.active else 0.0
+
+    @property
     def often(self) -> bool:
         """Whether so much is clipped that the noise of what it leaves is many times the sensor's."""
-        return bool(self.clipped_ratio.sum(axis=0).max() > _OFTEN)
+        return self._largest_share > _OFTEN
 
     @property
     def blinds(self) -> bool:
         """Whether so much is clipped that nothing rests on the rest."""
-        return bool(self.clipped_ratio.sum(axis=0).max() > MOST_SHARE)
+        return self._largest_share > MOST_SHARE
 
     def count(self, values: Floats) -> tuple[Bools, Bools]:
         """Which samples (n,) of the next values (n, 6) are clipped, and which of those are not to be held.
