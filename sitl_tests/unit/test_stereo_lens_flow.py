@@ -96,7 +96,8 @@ def _view(
     earlier, later = (lens.unproject(px) for px in left_px)
     pose = rig.pose(Side.LEFT, SLOPE[0], 0.0)
     sigma_rad = np.full(count, MATCH_PX / lens.focal_px)
-    return FlowView(rays, sigma_rad, earlier, later, sigma_rad, pose, pose, between, epipolar_from_body, axes)
+    index = np.arange(count)
+    return FlowView(index, rays, sigma_rad, earlier, later, sigma_rad, pose, pose, between, epipolar_from_body, axes)
 
 
 def _ahead() -> Airframe:

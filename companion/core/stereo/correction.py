@@ -206,7 +206,8 @@ class Correction:
             return None
         lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
         return FlowView(
-            Rays(rays.left_m[index], rays.left[index], rays.right_m[index], rays.right[index]),
+            index,
+            rays.at(index),
             matches.sigma_px[index] / focal_px,
             lens.unproject(flow.earlier_px),
             lens.unproject(matches.left_px[index]),

@@ -227,7 +227,7 @@ class EpipolarFilter:
         never agreed shows a keystone that matches cannot tell from toe: a calibration that is doubted pair by pair.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
-        innovation = flow.innovation(
+        innovation = flow.without(answer.outlier).innovation(
             rotation_rows(bend) @ mean,
             mean[LENS],
             mean[VELOCITY],

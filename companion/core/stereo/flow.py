@@ -30,7 +30,7 @@ from companion.core.stereo.lens_residual import (
 )
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
-from companion.records import Bools, Floats
+from companion.records import Bools, Floats, Ints
 
 LONGEST_NS = 600_000_000
 """Between two left images: a feature that flies on for longer leaves the picture (choice)."""
@@ -79,9 +79,9 @@ class FlowInnovation:
 
     @property
     def finite(self) -> Bools:
-        """Mask (2m,) of the rows that are numbers."""
-        measured = np.isfinite(self.residual_rad) & np.isfinite(self.sigma_rad)
-        return np.asarray(measured & np.isfinite(self.columns).all(axis=1), dtype=np.bool_)
+        """Mask (2m,) of the rows of features whose rows are numbers, both."""
+        measured = np.isfinite(self.residual_rad) & np.isfinite(self.sigma_rad) & np.isfinite(self.columns).all(axis=1)
+        return np.repeat(measured.reshape(-1, 2).all(axis=1), 2)
 
     @property
     def is_enough(self) -> bool:
@@ -127,6 +127,8 @@ class FlowView:
 
     Attributes
     ----------
+    match_index : (m,) int64
+        Which of the pair's matches each feature is.
     rays : Rays
         Matched rays (m) of the pair by the tracked bend, body axes.
     sigma_rad : (m,) float64
@@ -143,6 +145,7 @@ class FlowView:
         Of both cameras at the pair's exposures, body axes.
     """
 
+    match_index: Ints
     rays: Rays
     sigma_rad: Floats
     earlier: Floats
@@ -165,6 +168,19 @@ class FlowView:
         """Covariance (3, 3) of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2."""
         turned: Floats = self.epipolar_from_body @ self.between.turn_covariance @ self.epipolar_from_body.T
         return turned
+
+    def without(self, outlier: Bools) -> FlowView:
+        """The view without the features of those matches of the pair that a mask (n,) marks."""
+        keep = ~outlier[self.match_index]
+        return replace(
+            self,
+            match_index=self.match_index[keep],
+            rays=self.rays.at(keep),
+            sigma_rad=self.sigma_rad[keep],
+            earlier=self.earlier[keep],
+            later=self.later[keep],
+            flow_sigma_rad=self.flow_sigma_rad[keep],
+        )
 
     def innovation(
         self,

@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import MountedCamera, Rig
 from companion.core.stereo.rotation import exp_rotation
-from companion.records import Floats, MatchSet
+from companion.records import Bools, Floats, Ints, MatchSet
 
 # Points seen at a flatter angle to the product's axis than this say nothing about the range along it (choice).
 _FLATTEST = 0.2
@@ -34,6 +34,10 @@ class Rays:
             np.concatenate([rays.right_m for rays in several]),
             np.concatenate([rays.right for rays in several]),
         )
+
+    def at(self, index: Ints | Bools) -> Rays:
+        """The rays of some matches, by their numbers (m,) or a mask (n,)."""
+        return Rays(self.left_m[index], self.left[index], self.right_m[index], self.right[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
