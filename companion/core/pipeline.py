@@ -252,14 +252,14 @@ def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputReco
 def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
     if state.correction is None:
         return []
-    matches, stamped = state.feedback.stamped(matches)
+    matches, by_pin, sigma_s = state.feedback.stamped(matches)
     said: list[OutputRecord] = []
-    if stamped:
+    if by_pin:
         if not state.counters[_BY_PIN]:
             said.append(Notice(Severity.INFO, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
-        state.counters[_BY_PIN] += stamped
+        state.counters[_BY_PIN] += by_pin
     stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
-    return [*said, *state.correction.add(matches, stamps)]
+    return [*said, *state.correction.add(matches, stamps, sigma_s)]
 
 
 def _on_feedback(state: PipelineState, feedback: CameraFeedback) -> list[OutputRecord]:

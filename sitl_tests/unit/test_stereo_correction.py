@@ -29,6 +29,7 @@ MS = 1_000_000
 SLOPES = (0.02, 0.024)
 EXPOSED_NS = 1000 * MS
 ROLL_RATE_RADPS = 0.8
+YAW_RATE_RADPS = 0.4
 
 
 class Still:
@@ -93,6 +94,26 @@ def test_an_autopilot_that_tells_nothing_of_the_ground_is_taken_to_fly() -> None
     assert correction.vehicle.on_ground(EXPOSED_NS) is None
     correction.vehicle.add(_vehicle(EXPOSED_NS))
     assert correction.vehicle.on_ground(EXPOSED_NS) is None
+
+
+class Yawing(Still):
+    """A tracker of a wing that does not bend, whose aircraft yaws."""
+
+    def smooth(self, t_host_ns: int) -> Deflection:
+        return dataclasses.replace(super().smooth(t_host_ns), body_rate_radps=np.array([0.0, 0.0, YAW_RATE_RADPS]))
+
+
+def test_stamps_that_are_worse_widen_the_toe_by_what_the_aircraft_turns_meanwhile() -> None:
+    """Each camera's stamp is off by itself: the variance of the toe grows by twice that of one stamp's yaw."""
+    variances = []
+    for timing_sigma_s in (1e-4, 3e-3):
+        correction = Correction.create(forward(rotation_sigma_rad=2e-5), Settings(hold_slow=0))
+        correction.vehicle.add(_vehicle(EXPOSED_NS))
+        assert not list(correction.add(_matches(), None, timing_sigma_s))
+        (measured,) = _of(CorrectedRange, list(correction.due(Yawing(), EXPOSED_NS + 600 * MS)))
+        variances.append(measured.toe_sigma_rad**2)
+    turned_rad2 = 2.0 * YAW_RATE_RADPS**2 * (3e-3**2 - 1e-4**2)
+    assert variances[1] - variances[0] == pytest.approx(turned_rad2, rel=0.02)
 
 
 def _corrected(

@@ -82,8 +82,9 @@ def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedb
 def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: float) -> None:
     at_ns = START_NS + round(after_s * S)
     camera_pair = pair(7, at_ns + 30 * MS, at_ns + 31 * MS)
-    stamped, used = fired(0.003, at_ns).stamped(camera_pair)
-    assert used == 2
+    stamped, by_pin, sigma_s = fired(0.003, at_ns).stamped(camera_pair)
+    assert by_pin == 2
+    assert 5e-5 < sigma_s < 1e-9 * ROUND_TRIP_NS, "the stamps are as good as the pin's"
     true = np.array([at_ns + 9 * MS, at_ns + 10 * MS]) + EXPOSURE_NS // 2
     assert np.abs(stamped.mid_exposure_ns - true).max() <= ROUND_TRIP_NS
     assert stamped.clocks == (ClockName.HOST, ClockName.HOST)
@@ -91,12 +92,12 @@ def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: f
 
 def test_a_better_stamp_is_kept() -> None:
     camera_pair = pair(7, START_NS + 19 * S + 10 * MS, START_NS + 19 * S + 11 * MS)
-    assert fired(0.00002).stamped(camera_pair) == (camera_pair, 0)
+    assert fired(0.00002).stamped(camera_pair) == (camera_pair, 0, 0.00002)
 
 
 def test_frames_on_a_clock_that_nobody_knows_become_usable() -> None:
-    stamped, used = fired(0.0).stamped(pair(7, 5, 6, ClockName.CAM_LEFT))
-    assert used == 2
+    stamped, by_pin, _ = fired(0.0).stamped(pair(7, 5, 6, ClockName.CAM_LEFT))
+    assert by_pin == 2
     assert stamped.clocks == (ClockName.HOST, ClockName.HOST)
 
 

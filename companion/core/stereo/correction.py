@@ -62,10 +62,11 @@ class _EarlierPair(NamedTuple):
 
 
 class PendingPair(NamedTuple):
-    """A matched pair, and why its stamps are not to be believed, if so."""
+    """A matched pair, why its stamps are not to be believed, if so, and the one-sigma of each."""
 
     matches: MatchSet
     stamps: Reject | None
+    timing_sigma_s: float
 
 
 @dataclass(slots=True)
@@ -94,12 +95,14 @@ class Correction:
             airframe, rig, RangeGate(float(down), lasting_surface=down), settings, ExtrinsicsDriftFilter(rig, airframe)
         )
 
-    def add(self, matches: MatchSet, stamps: Reject | None = None) -> Iterator[OutputRecord]:
+    def add(
+        self, matches: MatchSet, stamps: Reject | None = None, timing_sigma_s: float = TIMING_SIGMA_S
+    ) -> Iterator[OutputRecord]:
         """Queue a pair, with the reason not to believe its stamps if any; a full queue drops the oldest and says so."""
         if any(clock is not ClockName.HOST for clock in matches.clocks):
             yield Rejected(Reject.CLOCK_UNSYNCED, "camera frames", matches.matched_host_ns)
             return
-        self.pending.append(PendingPair(matches, stamps))
+        self.pending.append(PendingPair(matches, stamps, timing_sigma_s))
         if len(self.pending) > _QUEUE_DEPTH:
             dropped = self.pending.popleft().matches
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
@@ -123,10 +126,10 @@ class Correction:
         yield right
         motion = self.vehicle.motion(middle_ns)
         self._doubtful(tracker.distrust)
-        turned = self._turned(matches, (left, right), motion, use_matches=reason is None)
+        turned = self._turned(waiting, (left, right), motion, use_matches=reason is None)
         yield turned
         joint, attitude_rad = self.drift_filter.joint_covariance, self.vehicle.attitude(middle_ns)
-        conditions = PairConditions(TIMING_SIGMA_S, motion, turned, joint, attitude_rad)
+        conditions = PairConditions(waiting.timing_sigma_s, motion, turned, joint, attitude_rad)
         answer = correct(matches, left, right, self.rig, self.airframe, self.settings, conditions)
         if self.drift_filter.verdict is not MatchVerdict.AGREE or self.drift_filter.flow_contradicts:
             reason = reason or Reject.MATCHES_CONTRADICT
@@ -176,16 +179,16 @@ class Correction:
         self.gate.reopened()
 
     def _turned(
-        self, matches: MatchSet, bend: tuple[Deflection, Deflection], motion: VehicleMotion, *, use_matches: bool
+        self, waiting: PendingPair, bend: tuple[Deflection, Deflection], motion: VehicleMotion, *, use_matches: bool
     ) -> RelativeRotation:
         """Relative rotation from the matches, or its prediction where the bend at the stamps is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, motion.velocity_mps)
-        matches = matches.features()
+        matches = waiting.matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
         flow = self._flow(matches, rays, moving, bend[Side.LEFT]) if use_matches else None
         turned = self.drift_filter.update(
-            matches, rays, bend, moving, TIMING_SIGMA_S, motion, flow=flow, use_matches=use_matches
+            matches, rays, bend, moving, waiting.timing_sigma_s, motion, flow=flow, use_matches=use_matches
         )
         agrees = use_matches and self.drift_filter.verdict is MatchVerdict.AGREE
         self._earlier = _EarlierPair(matches.pair_id, bend[Side.LEFT]) if agrees else None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import OrderedDict, deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,14 @@ _NEAR_NS = 20_000_000
 """A pair that no plan is known for has its feedback within this of its own stamp (choice)."""
 _LATE_NS = 1_000_000_000  # an edge that comes so late belongs to an exposure already processed (choice)
 _MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate (choice)
+
+
+class StampedPair(NamedTuple):
+    """A pair, how many of its stamps are the autopilot's, and the one-sigma of the worse of both stamps."""
+
+    matches: MatchSet
+    by_pin: int
+    sigma_s: float
 
 
 class ExposureFeedback:
@@ -56,9 +65,10 @@ class ExposureFeedback:
         while len(self._shots) > _MAX_ENTRIES:
             self._shots.popitem(last=False)
 
-    def stamped(self, matches: MatchSet) -> tuple[MatchSet, int]:
-        """Give the pair with the better stamps of each camera, and how many of them are the autopilot's."""
+    def stamped(self, matches: MatchSet) -> StampedPair:
+        """Give the pair with the better stamps of each camera."""
         clocks, stamps, used = list(matches.clocks), matches.mid_exposure_ns.copy(), 0
+        sigmas_s = [0.0 if camera is None else camera.stamp_sigma_s for camera in self._cameras]
         for side, camera in enumerate(self._cameras):
             edge = None if camera is None else self._edge_of(matches, side)
             if camera is None or edge is None:
@@ -68,10 +78,10 @@ class ExposureFeedback:
             sigma_ns = math.hypot(bound_ns / math.sqrt(3.0), _PIN_SIGMA_NS)
             if clocks[side] is not ClockName.HOST or sigma_ns < camera.stamp_sigma_s * 1e9:
                 clocks[side], used = ClockName.HOST, used + 1
-                stamps[side] = at_ns + _to_middle_ns(matches, camera)
-        if not used:
-            return matches, 0
-        return dataclasses.replace(matches, clocks=(clocks[0], clocks[1]), mid_exposure_ns=stamps), used
+                stamps[side], sigmas_s[side] = at_ns + _to_middle_ns(matches, camera), sigma_ns * 1e-9
+        if used:
+            matches = dataclasses.replace(matches, clocks=(clocks[0], clocks[1]), mid_exposure_ns=stamps)
+        return StampedPair(matches, used, max(sigmas_s))
 
     def _edge_of(self, matches: MatchSet, side: int) -> tuple[int, int] | None:
         """The first edge after the plan's shot, or where none is known the one nearest to the pair's own stamp."""
