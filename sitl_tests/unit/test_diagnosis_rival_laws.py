@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+from companion.core.wing.effect import ModalMotion
 from companion.core.wing.effects import catalogue
+from companion.core.wing.model import WingModel
 from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.flights.recordings import Flights, diagnose
 from companion.diagnosis.flights.rival_models import _at_nothing, _clocks
@@ -19,7 +22,8 @@ from companion.diagnosis.model.generic_effects import PLAY, generic_effects
 from companion.diagnosis.model.toe_regressors import taken_up
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.files import parse_airframe
-from tools.trial_generators import STRANGER
+from companion.records import Station
+from tools.trial_generators import FIRST, STRANGER
 from tools.trial_judge import model_of
 from tools.trial_truths.belief import airframe_text
 from tools.trial_truths.cases import Hidden, noise_density
@@ -101,6 +105,51 @@ def test_play_keeps_the_first_part_of_every_reversal_from_the_cameras() -> None:
     assert np.max(np.abs(missing)) == pytest.approx(2.0 * reach, rel=1e-6)
     moving_up = (t_s > 0.92) & (t_s < 1.2)
     assert missing[moving_up] == pytest.approx(2.0 * reach, rel=1e-6)
+
+
+def test_a_lag_without_a_name_is_a_delay_to_first_order_and_a_gain_to_second() -> None:
+    lag = of_title("both sides lagging").with_values({"lag_s": 0.002}).effect
+    omega = 2.0 * np.pi * np.array([1.0, 20.0])
+    response = lag.response(Station.LEFT, omega / (2.0 * np.pi))
+    assert response is not None
+    assert -np.angle(response[0]) == pytest.approx(0.002 * omega[0], rel=1e-4)
+    assert np.abs(response) == pytest.approx(1.0 / np.hypot(1.0, 0.002 * omega))
+    assert lag.response(Station.ROOT, omega) is None
+
+
+def test_springs_that_slip_lose_a_larger_share_the_further_they_swing() -> None:
+    """Work in a loop over the largest spring energy of it, and force in phase with the deflection."""
+    wing = WingModel(parse_airframe(airframe_text(noise_density(20.0)), "trial").wing)
+    t_s: Any = np.linspace(0.0, 8.0, 16001)
+    swing = np.where(t_s < 4.0, 0.001, 0.004) * np.sin(2.0 * np.pi * t_s)
+    q = np.zeros((wing.count, len(t_s)))
+    q[0] = swing
+    motion = ModalMotion(
+        np.asarray(t_s), q, np.gradient(q, t_s, axis=1), np.zeros((wing.count, 1)), 1.0, wing.structure
+    )
+    force = of_title("springs that slip").with_values({"strength": 0.1}).effect.force(motion)
+    assert force is not None
+    loss, softening = [], []
+    for start_s in (2.0, 6.0):
+        loop = (t_s >= start_s) & (t_s < start_s + 1.0)
+        size = float(np.max(np.abs(swing[loop])))
+        loss.append(-np.trapezoid(force[0][loop], swing[loop]) / size**2)
+        softening.append(float(np.sum(force[0][loop] * swing[loop]) / np.sum(swing[loop] ** 2)))
+    assert 0.0 < loss[0] < 0.7 * loss[1]
+    assert 0.0 < softening[0] < softening[1] < 0.1 * wing.structure.stiffness_radps2[0, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "offered"),
+    [("sensor-filter", ("exposure-delay", "coloured-gust")), ("hysteresis", ("frequency-shift", "quadratic-damping"))],
+)
+def test_two_names_do_not_stand_for_one_law_that_has_none(hidden: str, offered: tuple[str, ...]) -> None:
+    label = FIRST.hide([hidden], (8.0, 9.0), np.random.default_rng(3), 20.0)
+    (tables,) = fly_first([label], 20.0, 78)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+    judged = diagnose([model], [catalogue()[name] for name in offered])
+    assert judged.verdict is DiagnosisVerdict.UNEXPLAINED
 
 
 @pytest.mark.slow

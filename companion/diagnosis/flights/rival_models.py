@@ -25,13 +25,22 @@ from companion.diagnosis.model.generic_effects import (
     generic_lines,
 )
 from companion.diagnosis.selection.check import Check
-from companion.diagnosis.selection.forward_selection import SAME, UNPHYSICAL, UNPREJUDICED, penalised_log_likelihood
-from companion.diagnosis.selection.score_tests import Candidate
+from companion.diagnosis.selection.forward_selection import (
+    ENOUGH,
+    ENOUGH_MORE,
+    SAME,
+    UNPHYSICAL,
+    UNPREJUDICED,
+    penalised_log_likelihood,
+)
+from companion.diagnosis.selection.score_tests import Candidate, Screening
 
 BETTER = 2.0
 """Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
 with Phi(-d/2 - 2/d), 2 % at most (choice)."""
-_REFITTED, _TWINS = 3, 1  # candidates, and such whose score is a name's, a bound on the cost
+_REFITTED = 3  # candidates, a bound on the cost (choice)
+_TWINS = 3  # candidates whose score is a name's, which only a refit tells apart, a bound on the cost (choice)
+_CLOCKS = 1  # that were set, a bound on the cost (choice)
 _OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep (choice)
 _RANKING_STEPS = 8  # chosen: scoring steps of a fit that ranks: enough to order, cheap enough for many
 _FIRST_STEP = 0.5  # chosen: prior sigmas: far enough from none for a gradient
@@ -50,6 +59,15 @@ class RivalModel:
         return self.ahead > BETTER
 
 
+@dataclass(frozen=True, slots=True)
+class _Competitor:
+    """A law in place of the names: the ``price`` of a parameter of either, and what it has before any fit, nat."""
+
+    law: Candidate[EffectTerm]
+    price: float
+    lead: float
+
+
 def strongest_rival_model(
     models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check], named_fit: FlightFit
 ) -> RivalModel | None:
@@ -57,8 +75,10 @@ def strongest_rival_model(
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score the
     parameters of a name can imitate may be that name to first order: it is a rival only by what it fits better,
-    whatever else the name may do. A clock that was set once is such a rival of whatever shifts stamps: one parameter
-    and an instant stand against a rate and an instant. A name's own law, in another shape, is none.
+    whatever else the name may do; what stands beside that name is paid for. Several names at once are as much rarer
+    than one unknown law as the search has it. A clock that was set once is such a rival
+    of whatever shifts stamps: one parameter and an instant stand against a rate and an instant. A name's own law, in
+    another shape, is none.
     """
     named = [_at_nothing(term) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *_clocks(models, named), *named], shapes=True)
@@ -67,7 +87,8 @@ def strongest_rival_model(
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
     alike = screening.imitation[named_rows].max(axis=0) if named_rows else np.zeros(len(screening.candidates))
     worth, count = penalised_log_likelihood, log_count(models)
-    enough, nowhere = _OUT_OF_REACH * worth(count, named_fit, null), _out_of_place(named_fit)
+    enough = _OUT_OF_REACH * worth(count, named_fit, null)
+    ahead = _out_of_place(named_fit) + (ENOUGH_MORE - ENOUGH) * (len(named) - 1)  # as rare as the search has it
     leading = sorted(
         (
             (candidate, float(rho))
@@ -76,16 +97,42 @@ def strongest_rival_model(
         ),
         key=lambda entry: -entry[0].log_odds,
     )
-    clocks = [(candidate, 0.0) for candidate, _ in leading if _is_clock(candidate)][:_TWINS]
-    leading = [(candidate, rho) for candidate, rho in leading if not _is_clock(candidate)]
-    others = [(candidate, count) for candidate, rho in leading if rho < SAME][:_REFITTED]
-    twins = [(candidate, 0.0) for candidate, rho in leading if rho >= SAME][:_TWINS]
     competing_models = [
-        RivalModel(candidate.name, worth(price, fitted, null) - worth(price, named_fit, null) + nowhere)
-        for candidate, price in (*others, *twins, *clocks)
-        if (fitted := _refitted(models, null, candidate)) is not None
+        RivalModel(entry.law.name, worth(entry.price, fitted, null) - worth(entry.price, named_fit, null) + entry.lead)
+        for entry in _competitors(leading, count, ahead, _cost_of_others(screening, named_rows, count))
+        if (fitted := _refitted(models, null, entry.law)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
+
+
+def _competitors(
+    leading: Sequence[tuple[Candidate[EffectTerm], float]], count: float, ahead: float, others: dict[str, float]
+) -> list[_Competitor]:
+    """Laws that are worth a refit, of all that lead, strongest first, each with how far a name can imitate it."""
+    clocks = [law for law, _ in leading if _is_clock(law)][:_CLOCKS]
+    rest = [(law, rho) for law, rho in leading if not _is_clock(law)]
+    twins = [law for law, rho in rest if rho >= SAME][:_TWINS]
+    looked = math.log(max(len(twins), 1))  # the best of so many comes out ahead by chance as often
+    return [
+        *[_Competitor(law, count, ahead) for law, rho in rest if rho < SAME][:_REFITTED],
+        *(_Competitor(law, 0.0, ahead + others[law.name] - looked) for law in twins),
+        *(_Competitor(law, 0.0, ahead) for law in clocks),
+    ]
+
+
+def _cost_of_others(screening: Screening[EffectTerm], named: Sequence[int], count: float) -> dict[str, float]:
+    """Price that BIC asks for all names but the one that imitates a law best, nat, by law.
+
+    ``named`` are the names' rows, ``count`` is the logarithm of how many numbers were recorded.
+    """
+    if not named:
+        return {}
+    sizes = np.array([len(screening.candidates[row].term.values) for row in named])
+    nearest = sizes[np.argmax(screening.imitation[named], axis=0)]
+    return {
+        candidate.name: 0.5 * count * float(sizes.sum() - size)
+        for candidate, size in zip(screening.candidates, nearest, strict=True)
+    }
 
 
 def _out_of_place(fitted: FlightFit) -> float:

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
 from companion.core.wing.structure import Structure
-from companion.diagnosis.model.generic_sensing import GenericLeak, GenericPhase
+from companion.diagnosis.model.generic_sensing import GenericLag, GenericLeak, GenericPhase
+from companion.diagnosis.model.generic_slip import GenericSlip
 from companion.records import Floats, Station
 
 _Law = Callable[[Floats, Floats], Floats]
@@ -339,6 +340,8 @@ def generic_effects() -> list[type[Effect]]:
         _kind(GenericPhase, "left side phase growing with frequency", stations=(Station.LEFT,)),
         _kind(GenericPhase, "right side phase growing with frequency", stations=(Station.RIGHT,)),
         _kind(GenericPhase, BOTH_LATE, stations=(Station.LEFT, Station.RIGHT)),
+        _kind(GenericLag, "both sides lagging"),
+        _kind(GenericSlip, "springs that slip"),
         _kind(GenericRollOff, "gain falling with frequency"),
         _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
         _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),

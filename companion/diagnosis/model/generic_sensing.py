@@ -34,3 +34,19 @@ class GenericPhase(Effect):
     def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
         """Turn it where it is."""
         return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station in type(self).stations else None
+
+
+@dataclass(frozen=True, slots=True)
+class GenericLag(Effect):
+    """Both sides follow late, and the less the faster it goes: a causal filter has no phase without a gain.
+
+    To first order in the lag it is a delay, and what tells the two apart is of second order.
+    """
+
+    group: ClassVar[Group] = Group.SENSING
+
+    lag_s: float = parameter("s", 0.003, "time constant")
+
+    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+        """Gain of one pole."""
+        return None if station is Station.ROOT else np.asarray(1.0 / (1.0 + 2j * np.pi * f_hz * self.lag_s))

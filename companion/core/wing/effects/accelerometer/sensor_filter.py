@@ -21,6 +21,7 @@ class SensorFilter(Effect):
     name: ClassVar[str] = "sensor-filter"
     group: ClassVar[Group] = Group.SENSING
     one_way: ClassVar[bool] = True
+    own_law: ClassVar[str] = "both sides lagging"
     advice: ClassVar[str] = "read the filter setting of the nodes; set lowpass_accel_hz"
 
     lag_s: float = parameter("s", 0.003, "time constant; its corner is 1/(2 pi lag) Hz")
