@@ -112,10 +112,10 @@ def _competitors(
     clocks = [law for law, _ in leading if _is_clock(law)][:_CLOCKS]
     rest = [(law, rho) for law, rho in leading if not _is_clock(law)]
     twins = [law for law, rho in rest if rho >= SAME][:_TWINS]
-    looked = math.log(max(len(twins), 1))  # the best of so many comes out ahead by chance as often
     return [
         *[_Competitor(law, count, ahead) for law, rho in rest if rho < SAME][:_REFITTED],
-        *(_Competitor(law, 0.0, ahead + others[law.name] - looked) for law in twins),
+        # alike to the name, they are alike to each other: one look, however many
+        *(_Competitor(law, 0.0, ahead + others[law.name]) for law in twins),
         *(_Competitor(law, 0.0, ahead) for law in clocks),
     ]
 
