@@ -254,6 +254,43 @@ def test_few_features_are_no_contradiction_after_a_flow_that_agreed() -> None:
     assert not filtered._flown(_before(1e-5), few, NO_BEND, 100_000_000)[1]
 
 
+@pytest.mark.parametrize("exposure", range(2))
+def test_derivatives_by_the_stamps_are_those_of_a_flight_that_lasts_longer(exposure: int) -> None:
+    """An exposure later than stamped: the flight to it is longer, that from it shorter, and so is the camera's turn.
+
+    The way of a camera a metre off the axis of the turn, at 60 m, is left out.
+    """
+    view, rates = _view(), np.array([[0.2, -0.1, 0.05], [0.3, 0.1, -0.2]])
+    view = dataclasses.replace(view, between=dataclasses.replace(view.between, camera_rates_radps=rates))
+    later_s = 1e-6
+    longer_s = later_s if exposure else -later_s
+    between = dataclasses.replace(
+        view.between,
+        moved_m=view.between.moved_m * (1.0 + longer_s / _PASSED_S),
+        turn_rad=log_rotation(exp_rotation(longer_s * rates[exposure]) @ exp_rotation(view.between.turn_rad)),
+    )
+    base, moved = (each.innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+                   for each in (view, dataclasses.replace(view, between=between)))  # fmt: skip
+    assert np.allclose(
+        (base.residual_rad - moved.residual_rad) / later_s,
+        base.stamps[:, exposure],
+        atol=np.linalg.norm(rates[exposure]) / 60.0,
+    )
+
+
+def test_a_stamp_that_may_be_wrong_leaves_the_toe_and_the_velocity_as_they_were() -> None:
+    """A flight 15 ms longer than stamped: by stamps good to 0.1 ms a velocity or a toe, by a USB camera's neither."""
+    view = _view()
+    between = dataclasses.replace(view.between, moved_m=0.9 * view.between.moved_m)
+    innovation = dataclasses.replace(view, between=between).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+    assert with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND, 1e-4) is None
+    answer = with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND, 1e-2)
+    assert answer is not None
+    off = np.abs(answer.mean) / np.sqrt(np.maximum(np.diag(answer.covariance), 1e-20))
+    assert off[YAW] < 1.5
+    assert off[VELOCITY].max() < 1.5
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_derivatives_by_turn_and_velocity_are_those_of_differences(axis: int) -> None:
     """The analytic rows are what a small change of turn and path makes of the prediction."""

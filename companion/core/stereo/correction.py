@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -26,6 +26,7 @@ from companion.records import (
     ClockName,
     CorrectedRange,
     Deflection,
+    Floats,
     MatchSet,
     Notice,
     OutputRecord,
@@ -55,10 +56,11 @@ class BendSource(Protocol):
 
 
 class _EarlierPair(NamedTuple):
-    """The pair before, whose matches agreed with the sensors: its number, and the wing at its left exposure."""
+    """The pair before, whose matches agreed with the sensors: the wing at its left exposure, and the camera's rate."""
 
     pair_id: int
     left_bend: Deflection
+    rate_radps: Floats
 
 
 class PendingPair(NamedTuple):
@@ -186,19 +188,21 @@ class Correction:
         matches = waiting.matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
-        flow = self._flow(matches, rays, moving, bend[Side.LEFT]) if use_matches else None
+        flow = self._flow(waiting, rays, moving, bend[Side.LEFT]) if use_matches else None
         turned = self.drift_filter.update(
             matches, rays, bend, moving, waiting.timing_sigma_s, motion, flow=flow, use_matches=use_matches
         )
         agrees = use_matches and self.drift_filter.verdict is MatchVerdict.AGREE
-        self._earlier = _EarlierPair(matches.pair_id, bend[Side.LEFT]) if agrees else None
+        rate_radps = moving[Side.LEFT].rate_radps
+        self._earlier = _EarlierPair(matches.pair_id, bend[Side.LEFT], rate_radps) if agrees else None
         return turned
 
     def _flow(
-        self, matches: MatchSet, rays: Rays, moving: tuple[CameraExposure, CameraExposure], later: Deflection
+        self, waiting: PendingPair, rays: Rays, moving: tuple[CameraExposure, CameraExposure], later: Deflection
     ) -> FlowView | None:
         """Features that the left image of the pair before shows too, where the flight between the two is told."""
-        flow, earlier = matches.flow, self._earlier
+        matches, earlier = waiting.matches.features(), self._earlier
+        flow = matches.flow
         if flow is None or earlier is None or flow.earlier_pair_id != earlier.pair_id or matches.row_time_ns:
             return None
         index = flow.index
@@ -207,6 +211,8 @@ class Correction:
         between = self._flown(earlier.left_bend, later)
         if between is None:
             return None
+        rates_radps = np.stack([earlier.rate_radps, moving[Side.LEFT].rate_radps])
+        between = replace(between, camera_rates_radps=rates_radps, stamp_sigma_s=waiting.timing_sigma_s)
         lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
         return FlowView(
             index,

@@ -212,12 +212,14 @@ class EpipolarFilter:
     ) -> tuple[Posterior, MatchVerdict]:
         """Posterior of one pair with as much innovation as the test grants, and the test's verdict."""
         answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
-        tested = innovation_of(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance)
+        tested = innovation_of(answer).loosened(
+            self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance + fast.stamps
+        )
         verdict, granted_rad2 = self._test.take(tested)
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
-        bound = with_bound_innovation(answer, granted_rad2)
+        bound = with_bound_innovation(answer, granted_rad2 + fast.stamps)
         return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
 
     def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
@@ -236,7 +238,7 @@ class EpipolarFilter:
         )
         if not innovation.is_enough:
             return answer, False
-        updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend)
+        updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend, flow.between.stamp_sigma_s)
         if updated is None:
             used_ns = self._flow_used_ns
             if used_ns is not None:

@@ -43,7 +43,7 @@ _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite inform
 _PRIOR_REMAINDER = 1e-3
 _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
 # sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend have: twist,
-# rates between their samples, stamps (choice: a tenth of a pixel); what these add of their own comes with each pair
+# rates between their samples (choice: a tenth of a pixel); what these add of their own comes with each pair
 _FLOW_TURN_RAD = 1e-4
 # residual of an outlier (choice): of features without fault the flow loses one in 185
 _OUTLIER_SIGMAS = 3.0
@@ -158,13 +158,18 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, consi
 
 
 def with_flow(
-    answer: Posterior, flow: FlowInnovation, passed_s: float, turn_covariance: Floats, bend: BendBelief
+    answer: Posterior,
+    flow: FlowInnovation,
+    passed_s: float,
+    turn_covariance: Floats,
+    bend: BendBelief,
+    stamp_sigma_s: float = 0.0,
 ) -> Posterior | None:
     """The answer updated by the flow since an earlier pair; None where that contradicts it, or is of too few.
 
     The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
-    constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis and
-    ``turn_covariance`` besides, which is marginalised.
+    constant rate error, this pair has errors of its own, which are marginalised: of the turn, with sigma
+    :data:`_FLOW_TURN_RAD` per axis and ``turn_covariance`` besides, and of both stamps.
 
     Parameters
     ----------
@@ -178,20 +183,25 @@ def with_flow(
         Covariance of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
+    stamp_sigma_s : float
+        One-sigma of each exposure's stamp.
     """
     if not flow.is_enough:
         return None
     finite, add_up = flow.finite, rotation_rows(bend)
-    design = np.zeros((len(finite), ALL_STATES + 3))
+    size = ALL_STATES + len(turn_covariance) + flow.stamps.shape[1]
+    own_turn, own_stamps = slice(ALL_STATES, ALL_STATES + len(turn_covariance)), slice(-flow.stamps.shape[1], None)
+    design = np.zeros((len(finite), size))
     design[:, :ALL_STATES] = flow.rotation @ add_up
     design[:, LENS], design[:, BASELINE], design[:, SHIFT] = flow.lens, flow.baseline, flow.baseline
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
-    design[:, ALL_STATES:] = flow.turn
+    design[:, own_turn], design[:, own_stamps] = flow.turn, flow.stamps
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
     normalised = flow.residual_rad[finite] / flow.sigma_rad[finite]
-    prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
+    prior = np.zeros((size, size))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
-    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
+    prior[own_turn, own_turn] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
+    prior[own_stamps, own_stamps] = stamp_sigma_s**2 * np.eye(2)
     root = _square_root(prior)
     whitened_design, identity = design @ root, np.eye(len(root))
     change, covariance = np.zeros(len(prior)), prior

@@ -11,7 +11,7 @@ state, observed together with the true one and not separable from it by any numb
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -114,7 +114,7 @@ class BendBelief:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FastBelief:
-    """Error of the wing tracker's fast part: a process of first order.
+    """Error of the wing tracker's fast part, a process of first order, and of the stamps, each pair's own.
 
     Attributes
     ----------
@@ -122,10 +122,13 @@ class FastBelief:
         Of pitch, yaw, roll in the epipolar frame, now; rad^2.
     time_s : float
         Correlation time; 0: independent from pair to pair.
+    stamps : (3, 3) float64
+        Covariance of the turn of the cameras between the stamped exposures and the true ones; rad^2.
     """
 
     covariance: Floats
     time_s: float = 0.0
+    stamps: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)

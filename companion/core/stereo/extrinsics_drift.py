@@ -132,7 +132,7 @@ class ExtrinsicsDriftFilter:
             )
         mean, joint = self._filter.predict(t_host_ns, belief)
         slow, covariance = mean[:3], joint[:3, :3].copy()
-        joint[:3, :3] += fast.covariance
+        joint[:3, :3] += fast.covariance + fast.stamps
         self.joint_covariance = joint
         return RelativeRotation(matches.pair_id, t_host_ns, slow, joint[:3, :3], slow, covariance, 0, 0.0, mean[3:])
 
@@ -167,10 +167,10 @@ class ExtrinsicsDriftFilter:
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
     ) -> FastBelief:
-        """Error of the fast part: slope covariance less its slow variance, stamps of turning cameras, manoeuvre error.
+        """Error of the fast part: slope covariance less its slow variance, manoeuvre error; stamps of turning cameras.
 
-        The sum is carried as one first-order process: variances add, and the correlation time is the mean of both,
-        weighted by variance. The slow sigma keeps the manoeuvre's part as well, on the safe side.
+        The sum of the first two is carried as one first-order process: variances add, and the correlation time is the
+        mean of both, weighted by variance. The slow sigma keeps the manoeuvre's part as well, on the safe side.
         """
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
@@ -178,14 +178,13 @@ class ExtrinsicsDriftFilter:
         fast = without_negative_eigenvalues(slopes - slow**2)
         turn = self._filter.epipolar_from_body @ self._per_slope
         covariance: Floats = turn @ fast @ turn.T
-        for side in Side:
-            moved = timing_sigma_s * (self._filter.epipolar_from_body @ exposures[side].rate_radps)
-            covariance = covariance + np.outer(moved, moved)
+        meanwhile = [timing_sigma_s * (self._filter.epipolar_from_body @ exposure.rate_radps) for exposure in exposures]
+        stamps: Floats = np.sum([np.outer(moved, moved) for moved in meanwhile], axis=0)
         in_manoeuvre_rad = 0.5 * (left.manoeuvre_slope_sigma_rad + right.manoeuvre_slope_sigma_rad) * turn.sum(axis=1)
         fresh, total = float(np.trace(covariance)), float(np.trace(covariance) + in_manoeuvre_rad @ in_manoeuvre_rad)
         fast_time_s = 0.5 * (left.fast_slope_time_s + right.fast_slope_time_s)
         time_s = _MANOEUVRE_S + (fast_time_s - _MANOEUVRE_S) * (fresh / total if total > 0.0 else 1.0)
-        return FastBelief(covariance + np.outer(in_manoeuvre_rad, in_manoeuvre_rad), time_s)
+        return FastBelief(covariance + np.outer(in_manoeuvre_rad, in_manoeuvre_rad), time_s, stamps)
 
     def _shift(
         self,

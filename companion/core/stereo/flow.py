@@ -14,7 +14,7 @@ range to 1.4 % at any distance, whatever the lenses' residuals make of a yaw.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +62,8 @@ class FlowInnovation:
         Per radian of error of the body's turn, a rotation vector in epipolar axes.
     velocity : (2m, 3) float64
         Per metre a second of error of the velocity, epipolar axes.
+    stamps : (2m, 2) float64
+        Per second by which the left camera exposed later than stamped, the earlier time and the later one.
     """
 
     residual_rad: Floats
@@ -71,11 +73,12 @@ class FlowInnovation:
     baseline: Floats
     turn: Floats
     velocity: Floats
+    stamps: Floats
 
     @property
     def columns(self) -> Floats:
-        """Change of the prediction (2m, 18) by rotation, lens, baseline, turn and velocity."""
-        return np.concatenate([self.rotation, self.lens, self.baseline, self.turn, self.velocity], axis=1)
+        """Change of the prediction (2m, 22) by rotation, lens, baseline, turn, velocity and stamps."""
+        return np.concatenate([self.rotation, self.lens, self.baseline, self.turn, self.velocity, self.stamps], axis=1)
 
     @property
     def finite(self) -> Bools:
@@ -104,6 +107,10 @@ class FlightBetween:
         Covariance of the velocity that the path was taken from, body axes, (m/s)^2.
     turn_covariance : (3, 3) float64
         Covariance of the left camera's turn beyond what rates and tracker say, body axes, rad^2.
+    camera_rates_radps : (2, 3) float64
+        Rates of turn of the left camera at both exposures, body axes.
+    stamp_sigma_s : float
+        One-sigma of each exposure's stamp.
     """
 
     passed_s: float
@@ -111,6 +118,8 @@ class FlightBetween:
     moved_m: Floats
     velocity_covariance: Floats
     turn_covariance: Floats
+    camera_rates_radps: Floats = field(default_factory=lambda: np.zeros((2, 3)))
+    stamp_sigma_s: float = 0.0
 
 
 class _LeftCamera(NamedTuple):
@@ -226,7 +235,8 @@ class FlowView:
         per_left = bent_earlier[:, :2] - project @ (moved.earlier_from_body @ moved.body_from_later) @ bent_later
         per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
         per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_left @ per_term
-        columns = np.concatenate([per_depth, self._per_motion(moved, in_body, project, adjusted_pm)], axis=2)
+        per_motion = self._per_motion(moved, in_body, project, adjusted_pm)
+        columns = np.concatenate([per_depth, per_motion, per_motion @ self._motion_per_stamp()], axis=2)
 
         # axes of each feature: along its image path, where depth noise counts too, and across it
         along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
@@ -235,7 +245,7 @@ class FlowView:
         return FlowInnovation(
             (axes @ residual[..., np.newaxis]).ravel(),
             np.sqrt(np.stack([place_variance + depth_variance, place_variance], axis=1)).ravel(),
-            *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3]), axis=1),
+            *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3, 3]), axis=1),
         )
 
     def _moved(self, rotation_rad: Floats, velocity_mps: Floats, turn_rad: Floats) -> _LeftCamera:
@@ -255,6 +265,18 @@ class FlowView:
         path_per_velocity_s = self.between.passed_s * (moved.earlier_from_body @ self.epipolar_from_body.T)
         per_velocity = project @ path_per_velocity_s * inverse_pm[:, np.newaxis, np.newaxis]
         return np.concatenate([project @ per_turn.transpose(0, 2, 1), per_velocity], axis=2)
+
+    def _motion_per_stamp(self) -> Floats:
+        """Errors of turn and velocity (6, 2), epipolar axes, per second by which each exposure was later than stamped.
+
+        A flight that lasts longer turns the camera on at its rate, and leads on along the path.
+        """
+        further_mps = self.between.moved_m / self.between.passed_s**2
+        longer = np.array(
+            [np.concatenate([self.epipolar_from_body @ rate, self.epipolar_from_body @ further_mps])
+             for rate in self.between.camera_rates_radps]
+        ).T  # fmt: skip
+        return np.asarray(longer * np.array([-1.0, 1.0]))
 
     def _nearer(self, change_pm: Floats) -> Rays:
         """Matched rays whose inverse depths are larger by a change (m,): the right ones turned along the baseline."""
