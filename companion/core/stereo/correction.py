@@ -185,7 +185,8 @@ class Correction:
     ) -> RelativeRotation:
         """Relative rotation from the matches, or its prediction where the bend at the stamps is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, motion.velocity_mps)
-        matches = waiting.matches.features()
+        waiting = waiting._replace(matches=waiting.matches.features())
+        matches = waiting.matches
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
         flow = self._flow(waiting, rays, moving, bend[Side.LEFT]) if use_matches else None
@@ -201,7 +202,7 @@ class Correction:
         self, waiting: PendingPair, rays: Rays, moving: tuple[CameraExposure, CameraExposure], later: Deflection
     ) -> FlowView | None:
         """Features that the left image of the pair before shows too, where the flight between the two is told."""
-        matches, earlier = waiting.matches.features(), self._earlier
+        matches, earlier = waiting.matches, self._earlier
         flow = matches.flow
         if flow is None or earlier is None or flow.earlier_pair_id != earlier.pair_id or matches.row_time_ns:
             return None

@@ -189,19 +189,19 @@ def with_flow(
     if not flow.is_enough:
         return None
     finite, add_up = flow.finite, rotation_rows(bend)
-    size = ALL_STATES + len(turn_covariance) + flow.stamps.shape[1]
-    own_turn, own_stamps = slice(ALL_STATES, ALL_STATES + len(turn_covariance)), slice(-flow.stamps.shape[1], None)
-    design = np.zeros((len(finite), size))
+    turn = slice(ALL_STATES, ALL_STATES + 3)
+    stamps = slice(turn.stop, turn.stop + 2)
+    design = np.zeros((len(finite), stamps.stop))
     design[:, :ALL_STATES] = flow.rotation @ add_up
     design[:, LENS], design[:, BASELINE], design[:, SHIFT] = flow.lens, flow.baseline, flow.baseline
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
-    design[:, own_turn], design[:, own_stamps] = flow.turn, flow.stamps
+    design[:, turn], design[:, stamps] = flow.turn, flow.stamps
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
     normalised = flow.residual_rad[finite] / flow.sigma_rad[finite]
-    prior = np.zeros((size, size))
+    prior = np.zeros((stamps.stop, stamps.stop))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
-    prior[own_turn, own_turn] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
-    prior[own_stamps, own_stamps] = stamp_sigma_s**2 * np.eye(2)
+    prior[turn, turn] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
+    prior[stamps, stamps] = stamp_sigma_s**2 * np.eye(2)
     root = _square_root(prior)
     whitened_design, identity = design @ root, np.eye(len(root))
     change, covariance = np.zeros(len(prior)), prior
