@@ -53,7 +53,7 @@ _IN_PLACE = {"age_information": 0, "solve_parameters": 4}
 
 
 def _valid(t_ns: Ints, values: Floats, sensor: Sensor, oldest_ns: int) -> bool:
-    return plain_streams.all_valid(t_ns, values, streams._ranges(sensor), oldest_ns)
+    return plain_streams.all_valid(t_ns, values, streams.channel_ranges(sensor), oldest_ns)
 
 
 def _remove_lines(*arguments: Any) -> Floats:
