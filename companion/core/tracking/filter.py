@@ -138,13 +138,15 @@ class SeparatedBiasFilter:
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
-        shortening's too; and by its product with the bend the latter teaches the trim.
+        shortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
+        lateral bias differ by the vertical force alone, with which such a tip's lateral vibration goes.
         """
-        tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
+        tips = list(zip(("left", "right"), shaken, self.layout.mute_tips, strict=True))
         places = [place for place, loud, mute in tips if loud or mute]
         names = [f"{place}.{scale}" for place in places for scale in _SCALES]
         names += self._slopes() if places else []
         names += _TAUGHT_FALSELY if any(shaken) else []
+        names += [f"{place}.mx" for place, loud, mute in tips if loud and not mute]
         names = [name for name in names if name in self.layout.bias_parameters]
         again = [name for name in self._considered_now if name not in names]
         if again:
