@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream
+from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, ToeData
 from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
@@ -86,6 +86,28 @@ def test_ringing_that_the_recording_cuts_off_leaks_into_no_slow_bend(phase_rad: 
     inside = (t_s > 4.0) & (t_s < t_s[-1] - 4.0)
     smoothed_m = ringing.expect(np.zeros(len(quiet.belief.nuisances))).q_m[0]
     assert np.abs(smoothed_m - bend_m)[inside].max() < 0.02 * amplitude_m
+
+
+@pytest.mark.parametrize("has_reference", [True, False])
+def test_the_mean_bend_of_a_recording_is_as_uncertain_as_its_slowest_sway(
+    airframe: Airframe, drawn: FlightModel, has_reference: bool
+) -> None:
+    """Of a load that is flat to zero frequency the mean over a recording is a number like any other, not known to be 0.
+
+    The mean's variance is S(0) / T, that of the mean product with a cosine of one period S(1/T) / 2T. Where the mean is
+    taken out of the toe, as without reference distances, it has none.
+    """
+    recorded = drawn.observations
+    t_s = np.arange(0.05, recorded.duration_s, 0.1)
+    toe = ToeData(t_s, np.zeros(len(t_s)), np.full(len(t_s), 0.02), has_reference)
+    model = FlightModel(
+        believe(airframe, recorded.sides, False, has_reference), dataclasses.replace(recorded, toe=toe), TOP_HZ
+    )
+    covariance = model.expect(np.zeros(len(model.belief.nuisances))).toe_posterior
+    weights = np.stack([np.ones(len(t_s)), np.cos(2.0 * np.pi * t_s / recorded.duration_s)]) / len(t_s)
+    mean, sway = np.einsum("ik,kl,il->i", weights, covariance, weights)
+    assert sway > 0.0
+    assert mean == pytest.approx(2.0 * sway if has_reference else 0.0, rel=0.05, abs=0.05 * sway)
 
 
 def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: FlightModel) -> None:

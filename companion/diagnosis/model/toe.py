@@ -108,13 +108,14 @@ class ToeModel:
         return deflection, speed
 
     def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
-        """Covariance of the toe that the accelerations leave, (k, k)."""
+        """Covariance of the toe that the accelerations leave, (k, k); a slow gust's mean over the recording is in it."""
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
         unknown = prior - product(motion.smoother, adjoint(motion.cross))
         density = product(product(row, unknown), adjoint(row))[0, 0].real
-        density[0] = 0.0  # the constant part is trim and toe, which are parameters
+        if not self._toe.has_reference:
+            density[0] = 0.0  # the residual's mean is taken out
         m = _FINER * self._transforms.count
         lags = np.fft.irfft(np.maximum(density, 0.0), m) * (_FINER / self._transforms.dt_s)
         # periodic like the transform, which keeps it positive definite
