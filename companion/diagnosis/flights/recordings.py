@@ -93,6 +93,9 @@ class Flights(Recordings[EffectTerm, FlightState]):
         reached = self._begun(fitted, itertools.chain(first, smaller))
         if reached is None:
             return None
+        if reached.log_evidence < fitted.log_evidence - _NEAR:
+            # the model that it extends is a case of it: nuisances that stood for the effect are still on their way back
+            reached = fit(self._models, reached.terms, reached, _QUICK)
         if type(offered.term.effect).hilly and reached.log_evidence > fitted.log_evidence:
             other = self._on_other_hill(fitted, reached)
             reached = max(reached, other or reached, key=lambda entry: entry.log_evidence)

@@ -108,7 +108,7 @@ class ToeModel:
         return deflection, speed
 
     def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
-        """Covariance of the toe that the accelerations leave, (k, k); a slow gust's mean over the recording is in it."""
+        """Covariance of the toe that the accelerations leave, (k, k), with a slow gust's mean over the recording."""
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
