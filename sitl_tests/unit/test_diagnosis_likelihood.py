@@ -92,7 +92,7 @@ def test_ringing_that_the_recording_cuts_off_leaks_into_no_slow_bend(phase_rad: 
 def test_the_mean_bend_of_a_recording_is_as_uncertain_as_its_slowest_sway(
     airframe: Airframe, drawn: FlightModel, has_reference: bool
 ) -> None:
-    """Of a load that is flat to zero frequency the mean over a recording is a number like any other, not known to be 0.
+    """A load that is flat to zero frequency has a mean over the recording that is not known to be zero.
 
     The mean's variance is S(0) / T, that of the mean product with a cosine of one period S(1/T) / 2T. Where the mean is
     taken out of the toe, as without reference distances, it has none.
