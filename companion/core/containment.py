@@ -62,7 +62,9 @@ def _refused(state: PipelineState, record: Record, error: Exception) -> tuple[Pi
 
 def _anew(state: PipelineState, *, clocks: bool) -> PipelineState:
     fresh = start(state.airframe, state.settings, state.hub, None if clocks else state.clocks)
-    fresh.filters, fresh.vehicle, fresh.counters = state.filters, state.vehicle, state.counters
+    # the airframe has named effects as plain values already, from which the corrections cannot be told again
+    fresh.corrections, fresh.filters, fresh.vehicle = state.corrections, state.filters, state.vehicle
+    fresh.counters, fresh.airborne_ns = state.counters, state.airborne_ns
     fresh.now_ns, fresh.errors = state.now_ns, state.errors
     fresh.next_track_ns, fresh.next_status_ns = state.next_track_ns, state.next_status_ns
     return fresh

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from companion.core import pipeline
 from companion.core.containment import contained
 from companion.core.pipeline import start, step
 from companion.core.tracking.tracker import WingTracker
+from companion.params.airframe import NamedEffect
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -105,8 +107,10 @@ def test_ticks_that_go_on_raising_are_told_once_a_second_and_not_called_active(m
 def test_the_estimation_begins_anew_and_keeps_what_was_told(
     monkeypatch: pytest.MonkeyPatch, record: Tick | Shot | TimesyncReply
 ) -> None:
-    state = start(AIRFRAME, Settings())
+    late = NamedEffect("stream-delay", {"delay_s": 0.01})
+    state = start(dataclasses.replace(AIRFRAME, effects=(late,)), Settings())
     state, _ = step(state, AutopilotParameter("INS_GYRO_FILTER", 55.0, 1))
+    state.airborne_ns = 9 * S
     for k in range(100):
         sent_ns = 6 * S + k * S // 100
         state, _ = step(state, TimesyncReply(ClockName.BOOT, sent_ns, sent_ns, sent_ns + 200_000))
@@ -119,6 +123,9 @@ def test_the_estimation_begins_anew_and_keeps_what_was_told(
     monkeypatch.setitem(pipeline._HANDLERS, type(record), raising)
     after, outputs = contained(state, record)
     assert (after.airframe, after.counters, after.filters) == before[:3]
+    assert after.corrections == state.corrections
+    assert set(after.corrections.shift_ns.values()) == {-10_000_000}
+    assert after.airborne_ns == 9 * S
     assert after.tracker is not state.tracker
     assert after.correction is not state.correction
     assert (after.clocks is state.clocks) == (not isinstance(record, TimesyncReply))
