@@ -33,6 +33,11 @@ _STATE_PERIOD_MS = 20  # chosen: 50 states a second at most; display and motion 
 _VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
 # an accuracy that is older is not that of the velocity: ArduPlane streams GPS_RAW_INT at 1 Hz, PX4 at 1 to 5 (choice)
 _ACCURACY_AGE_NS = 3_000_000_000
+# airspeed and climb that are older are not those of the attitude: a downward range is moved on by the climb; every
+# profile of streams has VFR_HUD at 1 Hz at least (choice)
+_AIR_AGE_NS = 3_000_000_000
+# a boot time that falls by more is another boot's: copies by a slow link are seconds late (choice)
+_REBOOT_MS = 10_000
 # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share; bit 10 means "uninitialised" there, "GPS glitch" here
 _NAVIGATES = mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_POS_HORIZ_ABS
 _ASTRAY = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED | mavlink.EKF_GPS_GLITCHING
@@ -163,12 +168,15 @@ class Translator:
         self._reset_detector = reset_detector
         self._refusals = refusals
         self._requests: dict[int, set[tuple[int, int]]] = {}
-        self._air: Any = None
+        self.px4 = False
+        self._forget_vehicle()
+
+    def _forget_vehicle(self) -> None:
+        """Begin without what an autopilot told: another one, or this one after a reboot, may say nothing of it."""
+        self._air: tuple[Any, int] | None = None
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
-        self._on_ground = GroundWitness()
-        self._velocity = GroundVelocity()
-        self.px4 = False
+        self._on_ground, self._velocity = GroundWitness(), GroundVelocity()
 
     @property
     def system(self) -> int | None:
@@ -220,6 +228,7 @@ class Translator:
         if heard.component != AUTOPILOT_COMPONENT or not pilot:
             return
         if self.choice.beat(heard.system, heard.received_host_ns):
+            self._forget_vehicle()
             for clock in dict.fromkeys(self._mapping.clocks.values()):  # another vehicle, and other clocks
                 self._reset_detector.restart(clock, heard.received_host_ns)
                 yield ClockRestart(clock, heard.received_host_ns)
@@ -255,18 +264,23 @@ class Translator:
     def _vfr_hud(self, heard: Heard) -> None:
         message = heard.message
         if math.isfinite(message.airspeed) and math.isfinite(message.climb):
-            self._air = message
+            self._air = message, heard.received_host_ns
         else:
             self._refusals.add(Reject.NOT_FINITE, "VFR_HUD")
 
     def _attitude(self, heard: Heard) -> Iterator[Record]:
-        message, air, last = heard.message, self._air, self._last_state_ms
+        message, last = heard.message, self._last_state_ms
         angles = (message.roll, message.pitch, message.yaw)
         if not all(math.isfinite(angle) for angle in angles):
             self._refusals.add(Reject.NOT_FINITE, "ATTITUDE")
             return
-        if air is None or (last is not None and 0 <= message.time_boot_ms - last < _STATE_PERIOD_MS):
+        if last is not None and message.time_boot_ms < last - _REBOOT_MS:
+            self._forget_vehicle()
+        elif last is not None and 0 <= message.time_boot_ms - last < _STATE_PERIOD_MS:
             return
+        if self._air is None or heard.received_host_ns - self._air[1] > _AIR_AGE_NS:
+            return
+        air = self._air[0]
         self._last_state_ms = message.time_boot_ms
         yield VehicleState(
             message.time_boot_ms * 1_000_000,
