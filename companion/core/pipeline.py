@@ -263,9 +263,8 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
 
 
 def _on_feedback(state: PipelineState, feedback: CameraFeedback) -> list[OutputRecord]:
-    if state.feedback.edge(feedback):
-        return []
-    return [Rejected(Reject.CLOCK_UNSYNCED, "camera feedback", feedback.received_host_ns)]
+    refused = state.feedback.edge(feedback)
+    return [] if refused is None else [Rejected(refused, "camera feedback", feedback.received_host_ns)]
 
 
 def _on_rejected(state: PipelineState, rejected: Rejected) -> list[OutputRecord]:

@@ -73,8 +73,8 @@ def pair(plan_id: int, left_ns: int, right_ns: int, clock: ClockName = ClockName
 def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedback:
     feedback = ExposureFeedback(airframe(stamp_sigma_s), clock_bank())
     feedback.shot(Shot(7, at_ns, at_ns))
-    assert feedback.edge(edge(0, at_ns + 9 * MS))
-    assert feedback.edge(edge(1, at_ns + 10 * MS))
+    assert feedback.edge(edge(0, at_ns + 9 * MS)) is None
+    assert feedback.edge(edge(1, at_ns + 10 * MS)) is None
     return feedback
 
 
@@ -107,18 +107,20 @@ def test_each_picture_gets_its_own_edge() -> None:
     feedback = fired(0.003, at_ns)
     feedback.shot(Shot(8, at_ns + 300 * MS, at_ns + 300 * MS))
     feedback.shot(Shot(9, at_ns + 600 * MS, at_ns + 600 * MS))
-    assert feedback.edge(edge(0, at_ns + 609 * MS, image=3))
+    assert feedback.edge(edge(0, at_ns + 609 * MS, image=3)) is None
     assert feedback.stamped(pair(8, at_ns + 310 * MS, at_ns + 310 * MS))[1] == 0
     assert feedback.stamped(pair(9, at_ns + 610 * MS, at_ns + 610 * MS))[1] == 1
     assert feedback.stamped(pair(-1, at_ns + 12 * MS, at_ns + 13 * MS))[1] == 2
     assert feedback.stamped(pair(-1, at_ns + 150 * MS, at_ns + 150 * MS))[1] == 0
 
 
-def test_an_edge_without_a_known_clock_or_of_long_ago_is_refused() -> None:
+def test_an_edge_without_a_known_clock_of_long_ago_or_of_a_third_camera_is_refused_by_its_reason() -> None:
     at_ns = START_NS + 19 * S
-    assert not ExposureFeedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns))
+    assert ExposureFeedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns)) is Reject.CLOCK_UNSYNCED
     late = dataclasses.replace(edge(0, at_ns - 3 * S), received_host_ns=at_ns)
-    assert not ExposureFeedback(airframe(0.003), clock_bank()).edge(late)
+    synced = ExposureFeedback(airframe(0.003), clock_bank())
+    assert synced.edge(late) is Reject.OUT_OF_WINDOW
+    assert synced.edge(dataclasses.replace(edge(0, at_ns), camera=2)) is Reject.FOREIGN_SOURCE
 
 
 def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_is_said_once() -> None:

@@ -45,19 +45,23 @@ class ExposureFeedback:
         self._edges: tuple[deque[tuple[int, int]], ...] = (deque(maxlen=_MAX_ENTRIES), deque(maxlen=_MAX_ENTRIES))
         self._shots: OrderedDict[int, int] = OrderedDict()
 
-    def edge(self, feedback: CameraFeedback) -> bool:
-        """Take note of an edge; False where the boot clock is not known, or the edge is older than a second."""
+    def edge(self, feedback: CameraFeedback) -> Reject | None:
+        """Take note of an edge, or say why not: the boot clock is not known, no such camera, older than a second."""
         received_ns = feedback.received_host_ns
         state = self._clocks.state(ClockName.BOOT, received_ns)
-        if not state.synced or feedback.camera not in (0, 1):
-            return False
+        if not state.synced:
+            return Reject.CLOCK_UNSYNCED
+        if feedback.camera not in (0, 1):
+            return Reject.FOREIGN_SOURCE
         now_boot_ns = received_ns + state.offset_ns
         age_ns = (now_boot_ns - feedback.t_ns + state.bound_ns) % WRAP_NS - state.bound_ns
         converted = self._clocks.to_host(ClockName.BOOT, np.array([now_boot_ns - age_ns], dtype=np.int64))
-        if age_ns > _LATE_NS or isinstance(converted, Reject):
-            return False
+        if isinstance(converted, Reject):
+            return converted
+        if age_ns > _LATE_NS:
+            return Reject.OUT_OF_WINDOW
         self._edges[feedback.camera].append((int(converted[0][0]), converted[1]))
-        return True
+        return None
 
     def shot(self, shot: Shot) -> None:
         """Take note of when a plan was fired."""
