@@ -40,7 +40,7 @@ from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
-_MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then lines are searched for
+_MOST_S = 1.0  # chosen: of epochs at once, which the history holds; then lines are searched for
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
 _BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
@@ -62,6 +62,7 @@ class WingTracker:
         root_y_m = airframe.root.position_m[1]
         self._levers = (airframe.left.position_m[1] - root_y_m, airframe.right.position_m[1] - root_y_m)
         self._keep = int(_HISTORY_S / self._step_s) + 8
+        self._most_epochs = round(_MOST_S / self._step_s)
         (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._forecaster = Forecaster(self._layout)
@@ -165,13 +166,13 @@ class WingTracker:
     def _until_search(self) -> int:
         """Number of epochs until a search for lines begins or its result is due."""
         steps = self._next_ns // self._step_ns
-        begins = steps - steps % _MAX_EPOCHS + _MAX_EPOCHS
+        begins = steps - steps % self._most_epochs + self._most_epochs
         return int((min(begins, self._search_due) if self._lines.is_searching else begins) - steps)
 
     def _search_lines(self) -> None:
         """Begin a search for lines, or follow those that it shows, where it is time for either."""
         steps = self._next_ns // self._step_ns
-        if steps % _MAX_EPOCHS == 0:
+        if steps % self._most_epochs == 0:
             self._lines.begin(self._next_ns)
             self._search_due = steps + (0 if self._adaptation.early else round(SPREAD_S / self._step_s))
         if self._lines.is_searching and steps >= self._search_due:
