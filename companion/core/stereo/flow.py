@@ -271,9 +271,9 @@ class FlowView:
 
         A flight that lasts longer turns the camera on at its rate, and leads on along the path.
         """
-        further_mps = self.between.moved_m / self.between.passed_s**2
+        velocity_per_stamp_mps2 = self.between.moved_m / self.between.passed_s**2
         longer = np.array(
-            [np.concatenate([self.epipolar_from_body @ rate, self.epipolar_from_body @ further_mps])
+            [np.concatenate([self.epipolar_from_body @ rate, self.epipolar_from_body @ velocity_per_stamp_mps2])
              for rate in self.between.camera_rates_radps]
         ).T  # fmt: skip
         return np.asarray(longer * np.array([-1.0, 1.0]))
