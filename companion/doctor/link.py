@@ -74,7 +74,7 @@ def check_computer(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("computer", FindingLevel.OK, "the trigger may take a real-time priority")
     else:
         text = (
-            "no real-time priority for this user: shots may be late by milliseconds; LimitRTPRIO=60 in the service unit"
+            "no real-time priority for this user: shots may be late by milliseconds; LimitRTPRIO=50 in the service unit"
         )
         yield Finding("computer", FindingLevel.NOTE, text)
 

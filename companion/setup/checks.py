@@ -15,7 +15,7 @@ from companion.setup.tree import Tree
 
 GROUPS = ("dialout", "gpio", "video", "plugdev")
 _PYTHON = (3, 11)  # convention: the oldest that the package takes (pyproject.toml)
-_DISK_GB = 2.0  # recordings and the compiler's cache, for a start (choice)
+_DISK_GB = 2.0  # a flight's recordings, for a start (choice)
 _MEMORY_GB = 1.5  # the service with its reserve, beside the system (choice)
 
 
@@ -57,7 +57,7 @@ def _python() -> SystemCheck:
 
 def _disk(tree: Tree) -> SystemCheck:
     free_gb = shutil.disk_usage(tree.root).free / 1e9
-    remedy = "" if free_gb >= _DISK_GB else "make room: recordings and the compiler's cache need it"
+    remedy = "" if free_gb >= _DISK_GB else "make room: recordings need it"
     return SystemCheck("disk", f"{free_gb:.1f} GB free ({_DISK_GB:g} GB wanted)", remedy)
 
 

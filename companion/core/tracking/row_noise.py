@@ -1,18 +1,19 @@
 """Noise of the slope and rate rows as it is in this flight, learned from the filter's innovations.
 
 Let ``e`` be the innovations of a step and ``S`` their covariance as predicted. A source of noise k with variance R_k
-enters the rows by a column ``g_k`` (a row's own noise: a unit vector; the root's lateral axis: both slope rows). Then
-``u_k = g_k^T S^-1 e`` has the variance ``v_k = g_k^T S^-1 g_k`` where S is right, and each source l whose variance is
-larger by r_l adds ``(g_k^T S^-1 g_l)^2 r_l`` (the score of the likelihood, to first order; Mehra, IEEE TAC 15, 1970,
-for the idea). These are as many equations as sources, solved with no variance below the belief. So noise of one slope
-row is seen beside a root whose noise both rows share, and a rate's beside the rigid roll.
+enters the rows by a column ``d_k`` (a row's own noise: a unit vector; the root's lateral axis: both slope rows). Then
+``score_k = d_k^T S^-1 e`` has the variance ``d_k^T S^-1 d_k`` where S is right, and each source j whose variance is
+larger by ``excess_j`` adds ``(d_k^T S^-1 d_j)^2 excess_j`` (the score of the likelihood, to first order; Mehra, IEEE
+TAC 15, 1970, for the idea). These are as many equations as sources, solved with no variance below the belief. So
+noise of one slope row is seen beside a root whose noise both rows share, and a rate's beside the rigid roll.
 
-With the right R, ``u`` is white: beside its variance C_0 stands C_0 - C_1, C_1 its autocovariance at one step, and the
-smaller of both counts. What contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed)
-makes C_1 as large as C_0: it is not learned as noise and stays a contradiction. Vibration above the wing's band makes
-C_1 negative, and its variance is C_0. Medians stand for means, for blows and lies. The vertical rows tell nothing so:
-what they feel is the gust's, and the fit of its spectrum gives their noise. A source that is hidden behind others by
-far is learned where innovations show it beyond what a load that is fitted a little wrong could.
+With the right R, the score is white: beside its variance gamma_0 stands gamma_0 - gamma_1, gamma_1 its autocovariance
+at one step, and the smaller of both counts. What contradicts the model slowly (a drifting bias, a wrong scale, a load
+larger than believed) makes gamma_1 as large as gamma_0: it is not learned as noise and stays a contradiction.
+Vibration above the wing's band makes gamma_1 negative, and its variance is gamma_0. Medians stand for means, for
+blows and lies. The vertical rows tell nothing so: what they feel is the gust's, and the fit of its spectrum gives
+their noise. A source that is hidden behind others by far is learned where innovations show it beyond what a load that
+is fitted a little wrong could.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def fit_with_noise(
 ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
     """Periodogram, fit and ratio with other noise than that of ``ratio``, where it explains clearly more.
 
-    ``leap`` is that of :func:`_leapt`. No sensor is taken for better than its file says.
+    ``leap`` is what :func:`next_leap` gives. No sensor is taken for better than its file says.
     """
     trials = [_leapt(louder, leap, periodogram, prior, best.log_params)]
     trials += [(factor * ratio, best.log_params, 3) for factor in _NOISE_STEPS]
