@@ -79,17 +79,10 @@ class _Series:
 
 
 class MotionAlignment:
-    """One node's. Feed it both streams, then ask for exchanges about every 20 ms.
-
-    Attributes
-    ----------
-    newest : Lag or None
-        The last alignment.
-    """
+    """Alignment of one node: takes both streams, and is asked for exchanges about every 20 ms."""
 
     def __init__(self, clock: ClockName) -> None:
         self.clock = clock
-        self.newest: Lag | None = None
         self._turns = False
         self._delay_s = (0.0, 0.0)
         self._lever_m: Floats = np.zeros(3)
@@ -154,7 +147,6 @@ class MotionAlignment:
         lag = Lag(measured.lag_s, math.hypot(measured.sigma_s, _STAMPS_SIGMA_S))
         if lag.sigma_s > LARGEST_SIGMA_S:
             return
-        self.newest = lag
         middle_ns = start_ns + round(span_s * 0.5e9)
         # how old the quickest arrivals were at the middle of the window, and so are now: the link has not changed
         age_ns = self._quickest(middle_ns)[0] - base_ns + round(lag.lag_s * 1e9)

@@ -19,11 +19,6 @@ class UnsyncedNodes:
         self._unanswered_ns: dict[ClockName, int] = {}
         self._alignments: dict[ClockName, MotionAlignment] = {}
 
-    @property
-    def clocks(self) -> frozenset[ClockName]:
-        """Those that are being aligned."""
-        return frozenset(self._alignments)
-
     def answered(self, clock: ClockName, received_host_ns: int) -> None:
         """Take note of an answer: its owner is silent no more."""
         self._alignments.pop(clock, None)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import skew
 from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.latency import LatencyModel
 from companion.native.library import ARRAY, REAL, RECORD, kernel, packed
@@ -140,7 +141,7 @@ def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
         shift = np.diag([-focal, -focal, 0.0]) @ mounted.rest.camera_from_body
         turns.append(turn * camera.exposure_s)
         shifts.append(shift * camera.exposure_s)
-        levers.append(-shifts[-1] @ _cross(mounted.rest.position_body_m))
+        levers.append(-shifts[-1] @ skew(mounted.rest.position_body_m))
         slopes.append(turns[-1] @ mounted.turn_rad(1.0, bend.twist_factor_radpm.value / factor))
         lifts.append(shifts[-1] @ np.array([0.0, 0.0, -camera.lift_gain / factor]))
     exposure_s = np.array([camera.exposure_s for camera in cameras])
@@ -154,12 +155,6 @@ def _spring(airframe: Airframe) -> Floats:
     pull = [-((2 * np.pi * mode.frequency_hz.value) ** 2) * mode.slope_factor_radpm.value for mode in modes]
     spring: Floats = np.array([[1.0, -1.0], [1.0, 1.0]]) * np.array(pull)
     return spring
-
-
-def _cross(vector: Floats) -> Floats:
-    """Matrix of ``vector x``."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class Streaks(NamedTuple):

@@ -31,7 +31,7 @@ _WIDTH_IN = 11.0  # of every figure; 110 px an inch fill the page (choice)
 _STATIONS = {Station.ROOT: GREY, Station.LEFT: BLUE, Station.RIGHT: ORANGE}
 _CLOCKS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION)
 _FARTHEST_SHOWN = 1.5  # times the farthest corrected range: rigid ranges pass infinity (choice)
-_MM, _MRAD, _MS, _US = 1e3, 1e3, 1e3, 1e6  # per SI unit (by definition)
+_MM, _MRAD, _US = 1e3, 1e3, 1e6  # per SI unit (by definition)
 _TOP_HZ = 200.0  # beyond, no airframe of ours has a mode (choice)
 _ON_CURVES = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # behind a label that may lie on a curve
 

@@ -30,7 +30,7 @@ _NONE, _TERMINATE, _RESET, _LIST, _OPEN, _READ, _CRC, _BURST = 0, 1, 2, 3, 4, 5,
 _WRITES = frozenset(range(6, 14))  # opcodes that would change a file (MAVLink FTP protocol)
 _ACK, _NAK = 128, 129  # opcodes of answers (MAVLink FTP protocol)
 # error codes (MAVLink FTP protocol)
-_FAIL, _NO_SESSION, _END_OF_FILE, _UNKNOWN_COMMAND, _PROTECTED, _NO_SUCH_FILE = 1, 4, 6, 7, 9, 10
+_NO_SESSION, _END_OF_FILE, _UNKNOWN_COMMAND, _PROTECTED, _NO_SUCH_FILE = 4, 6, 7, 9, 10
 
 
 @dataclass(slots=True)
