@@ -1,4 +1,4 @@
-"""EuRoC's image pairs, with the right camera turned a little further in every one, as a wing would do it."""
+"""EuRoC's image pairs, with both cameras turned a little further in every one, as a wing would do it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from companion.adapters.cameras.folder import FolderPair
-from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.geometry import Lens, Pose, Rig
 from companion.core.stereo.matching import Matches, match
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import Search
@@ -24,7 +24,10 @@ FAST_SIGMA_RAD = 0.0003
 
 @dataclass(frozen=True)
 class FlexedPair:
-    """Matches of one pair whose right camera is really turned by ``slow_rad + fast_rad`` (camera axes)."""
+    """Matches of one pair whose cameras are turned against each other by ``slow_rad + fast_rad`` (right camera's axes).
+
+    Each has half of it, and the baseline stays where it was.
+    """
 
     t_ns: int
     matches: Matches
@@ -34,7 +37,7 @@ class FlexedPair:
 
     @property
     def total_rad(self) -> np.ndarray:
-        """True rotation of the right camera, (3,) rad in camera axes."""
+        """True rotation of the right camera against the left, (3,) rad in its axes."""
         return self.slow_rad + self.fast_rad
 
 
@@ -43,9 +46,8 @@ def euroc_airframe(folder: Path) -> Airframe:
     return dataclasses.replace(load_airframe("forward-2m"), left_camera=left, right_camera=right, orientation=0)
 
 
-def turn_image(image: np.ndarray, rig: Rig, turn_rad: np.ndarray) -> np.ndarray:
-    """The right camera's image if it were turned by a rotation vector in its own axes: exact but for resampling."""
-    lens = rig.right.lens
+def turn_image(image: np.ndarray, lens: Lens, turn_rad: np.ndarray) -> np.ndarray:
+    """A camera's image if it were turned by a rotation vector in its own axes: exact but for resampling."""
     columns, rows = np.meshgrid(np.arange(lens.size_px[0], dtype=float), np.arange(lens.size_px[1], dtype=float))
     rays = lens.unproject(np.column_stack([columns.ravel(), rows.ravel()]))
     source = lens.project(rays @ exp_rotation(turn_rad).T).reshape(*columns.shape, 2).astype(np.float32)
@@ -61,6 +63,12 @@ def rotations(times_s: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return slow, fast
 
 
+def _halves(rig: Rig, turn_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn of the left and of the right camera, each in its own axes, that make up a relative turn (right's axes)."""
+    left_from_right = rig.left.rest.camera_from_body @ rig.right.rest.camera_from_body.T
+    return -0.5 * left_from_right @ turn_rad, 0.5 * turn_rad
+
+
 def flexed_pairs(folder: Path, rig: Rig, seed: int = 0, which: slice = slice(None)) -> list[FlexedPair]:
     frames = list(FolderPair(folder).frames())
     pairs = list(zip(frames[0::2], frames[1::2], strict=True))[which]
@@ -70,20 +78,23 @@ def flexed_pairs(folder: Path, rig: Rig, seed: int = 0, which: slice = slice(Non
     search = Search(rig.left.rest, rig.right.rest, 0.8, 200.0, 0.0, 0.009)
     flexed = []
     for (left, right), s, f in zip(pairs, slow, fast, strict=True):
-        matches = match(left.image, turn_image(right.image, rig, s + f), rig, search, most=600, quality=0.0003)
+        turns = _halves(rig, s + f)
+        images = turn_image(left.image, rig.left.lens, turns[0]), turn_image(right.image, rig.right.lens, turns[1])
+        matches = match(*images, rig, search, most=600, quality=0.0003)
         flexed.append(FlexedPair(left.mid_exposure_ns, matches, s, f, f + FAST_SIGMA_RAD * random.standard_normal(3)))
     return flexed
 
 
 def rays_of(rig: Rig, matches: Matches, turn_rad: np.ndarray, chosen: np.ndarray) -> Rays:
-    """Rays in body axes of some matches, with the right camera believed to be turned by ``turn_rad`` (camera axes)."""
-    rest = rig.right.rest
-    believed = Pose(exp_rotation(-turn_rad) @ rest.camera_from_body, rest.position_body_m)
+    """Rays in body axes of some matches, with the cameras believed to be turned by ``turn_rad`` (right's axes)."""
+    left, right = (
+        Pose(exp_rotation(-turn) @ camera.rest.camera_from_body, camera.rest.position_body_m)
+        for camera, turn in zip((rig.left, rig.right), _halves(rig, turn_rad), strict=True)
+    )
     n = int(np.sum(chosen))
-    left, right = rig.left.rest.position_body_m, rest.position_body_m
     return Rays(
-        np.tile(left, (n, 1)),
-        rig.left.rays(rig.left.rest, matches.left_px[chosen]),
-        np.tile(right, (n, 1)),
-        rig.right.rays(believed, matches.right_px[chosen]),
+        np.tile(left.position_body_m, (n, 1)),
+        rig.left.rays(left, matches.left_px[chosen]),
+        np.tile(right.position_body_m, (n, 1)),
+        rig.right.rays(right, matches.right_px[chosen]),
     )

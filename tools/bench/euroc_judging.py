@@ -11,6 +11,7 @@ import numpy as np
 
 from companion.core.stereo.epipolar import EpipolarFilter
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame
+from companion.core.stereo.epipolar_states import PARALLAX_STATES as _STATES
 from companion.core.stereo.epipolar_states import ExtrinsicsPrior, FastBelief
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -39,9 +40,6 @@ def tuned_prior(rig: Rig, pairs: list[FlexedPair]) -> ExtrinsicsPrior:
         stated = float(np.median(pair.matches.sigma_px)) / rig.right.lens.focal_px
         excess.append(noise_rad(rig, pair, every) ** 2 - stated**2)
     return ExtrinsicsPrior(baseline_rad=_BASELINE_RAD, parallax_rad=float(np.sqrt(max(np.median(excess), 0.0))))
-
-
-_STATES = 12  # of rotation, baseline and lenses
 
 
 def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
@@ -73,10 +71,10 @@ def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str
 
 
 def own_design(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parallax (n,) under the true applied rotation, and its design (n, 12), written down here once more.
+    """Parallax (n,) under the true applied rotation, and its design (n, 14), written down here once more.
 
     Columns: pitch, yaw, roll, baseline y and z; focal length, radial term, keystone x and y, prism x and y by which the
-    lenses differ, and the radial term that both have wrong.
+    lenses differ, and the radial term and keystone x and y that both have wrong.
     """
     rays = in_frame(rays_of(rig, pair.matches, pair.total_rad, chosen), epipolar_frame(rig))
     left, right = rays.left / rays.left[:, 2:], rays.right / rays.right[:, 2:]
@@ -84,6 +82,7 @@ def own_design(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> tuple[np.ndarr
     x_mid, square = 0.5 * (left[:, 0] + right[:, 0]), (left[:, :2] ** 2).sum(axis=1) + (right[:, :2] ** 2).sum(axis=1)
     cubic = [slopes[:, 1] * (slopes[:, :2] ** 2).sum(axis=1) for slopes in (left, right)]
     lens = [y, y * square / 2, x_mid * y, y * y, 0 * y, square / 2, cubic[0] - cubic[1]]
+    lens += [left[:, 0] * left[:, 1] - right[:, 0] * right[:, 1], left[:, 1] ** 2 - right[:, 1] ** 2]
     design = np.column_stack([-(1 + y * y), x * y, x, d, -y * d, *lens])
     return left[:, 1] - right[:, 1], design
 
@@ -136,7 +135,7 @@ def cramer_rao(
             continue
         predicted = np.linalg.inv(information) + np.diag(walk) * 1e-9 * (pair.t_ns - last_ns)
         joint = np.zeros((_STATES + 3, _STATES + 3))
-        joint[:_STATES, :_STATES], joint[_STATES:, _STATES:] = predicted, fast_sigma_rad**2 * np.eye(3)
+        joint[:_STATES, :_STATES], joint[_STATES:, _STATES:] = (predicted, fast_sigma_rad**2 * np.eye(3))
         rows = np.hstack([design, design[:, :3]])
         posterior = np.linalg.inv(np.linalg.inv(joint) + rows.T @ rows)
         add = np.hstack([np.eye(3), np.zeros((3, _STATES - 3)), np.eye(3)])
