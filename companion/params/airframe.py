@@ -31,7 +31,7 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One bending mode pair member.
+    """One bending mode.
 
     ``slope_factor_radpm`` is the slope at the tip station per metre of tip deflection; ``twist_factor_radpm`` the
     nose-up twist there per metre (torsion that comes with the bending).

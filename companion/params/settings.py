@@ -109,7 +109,7 @@ class Settings:
         live=False,
     )
     reorder_window_s: float = _tunable(
-        "TRK_WINDOW", "s", 0.01, 0.25, 0.05, "How long a late inertial sample is waited for", live=False
+        "TRK_WINDOW", "s", 0.01, 0.25, 0.05, "How late an inertial sample may arrive and still be used", live=False
     )
     track_rate_hz: float = _tunable(
         "TRK_RATE", "Hz", 100, 500, 250, "Rate of the tracker; faster streams are averaged exactly to it", live=False
@@ -168,7 +168,7 @@ class Settings:
         0,
         1,
         1,
-        "Hold the slow part of the cameras' relative rotation by matched features",
+        "Estimate the slow misalignment of the cameras (pitch, toe, roll) from matched features",
         choices=("off", "on"),
     )
     fill: int = _tunable(

@@ -42,17 +42,17 @@ class VehicleParameter:
 def _notch(name: str) -> tuple[VehicleParameter, ...]:
     return (
         VehicleParameter(f"INS_{name}_ENABLE", "", 0, 1, "whether rates go through this notch"),
-        VehicleParameter(f"INS_{name}_FREQ", "Hz", 10, 495, "its centre, from which its delay follows"),
-        VehicleParameter(f"INS_{name}_BW", "Hz", 5, 250, "its width, likewise"),
-        VehicleParameter(f"INS_{name}_ATT", "dB", 5, 50, "its depth, likewise"),
-        VehicleParameter(f"INS_{name}_HMNCS", "", 0, _BITS_16, "its harmonics as bits, likewise"),
+        VehicleParameter(f"INS_{name}_FREQ", "Hz", 10, 495, "centre of the notch, from which its delay follows"),
+        VehicleParameter(f"INS_{name}_BW", "Hz", 5, 250, "width of the notch, for its delay"),
+        VehicleParameter(f"INS_{name}_ATT", "dB", 5, 50, "depth of the notch, for its delay"),
+        VehicleParameter(f"INS_{name}_HMNCS", "", 0, _BITS_16, "harmonics of the notch as bits, for its delay"),
     )
 
 
 def _rival(number: int) -> tuple[VehicleParameter, ...]:
     return (
         VehicleParameter(f"RNGFND{number}_TYPE", "", 0, _TYPES, "whether another range finder may replace ours"),
-        VehicleParameter(f"RNGFND{number}_ORIENT", "", 0, _ORIENTATIONS, "where it looks"),
+        VehicleParameter(f"RNGFND{number}_ORIENT", "", 0, _ORIENTATIONS, "where that range finder looks"),
     )
 
 
@@ -62,22 +62,22 @@ _ROWS = (
     *_notch("HNTCH"),
     *_notch("HNTC2"),
     VehicleParameter("IMU_INTEG_RATE", "Hz", 50, 1000, "PX4's integration: half of it is taken off the stamps"),
-    VehicleParameter("IMU_ACCEL_CUTOFF", "Hz", 0, 1000, "tells the doctor that it is PX4"),
-    VehicleParameter("IMU_GYRO_CUTOFF", "Hz", 0, 1000, "likewise"),
+    VehicleParameter("IMU_ACCEL_CUTOFF", "Hz", 0, 1000, "tells the doctor that the autopilot is PX4"),
+    VehicleParameter("IMU_GYRO_CUTOFF", "Hz", 0, 1000, "tells the doctor that the autopilot is PX4"),
     VehicleParameter("SCHED_LOOP_RATE", "Hz", 50, 2000, "how fast inertial messages can come"),
     VehicleParameter("RNGFND1_TYPE", "", 0, _TYPES, "whether our ranges are used"),
-    VehicleParameter("RNGFND1_ORIENT", "", 0, _ORIENTATIONS, "for which direction"),
-    VehicleParameter("RNGFND1_MIN", "m", 0, _LONGEST_RANGE_M, "from where"),
-    VehicleParameter("RNGFND1_MAX", "m", 0, _LONGEST_RANGE_M, "to where"),
-    VehicleParameter("RNGFND1_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "from where, before ArduPilot 4.7"),
-    VehicleParameter("RNGFND1_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "to where, before ArduPilot 4.7"),
+    VehicleParameter("RNGFND1_ORIENT", "", 0, _ORIENTATIONS, "direction for which our ranges are used"),
+    VehicleParameter("RNGFND1_MIN", "m", 0, _LONGEST_RANGE_M, "shortest range used"),
+    VehicleParameter("RNGFND1_MAX", "m", 0, _LONGEST_RANGE_M, "longest range used"),
+    VehicleParameter("RNGFND1_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "shortest used, before ArduPilot 4.7"),
+    VehicleParameter("RNGFND1_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "longest used, before ArduPilot 4.7"),
     *_rival(2),
     *_rival(3),
     *_rival(4),
     VehicleParameter("PRX1_TYPE", "", 0, _TYPES, "whether our obstacle sectors are used"),
-    VehicleParameter("PRX_TYPE", "", 0, _TYPES, "likewise, in old versions"),
+    VehicleParameter("PRX_TYPE", "", 0, _TYPES, "whether our obstacle sectors are used, in old versions"),
     VehicleParameter("CAM1_DURATION", "s", 0, 5, "how fast the autopilot's left camera can be fired"),
-    VehicleParameter("CAM2_DURATION", "s", 0, 5, "likewise the right one"),
+    VehicleParameter("CAM2_DURATION", "s", 0, 5, "how fast the autopilot's right camera can be fired"),
 )
 VEHICLE_PARAMETERS: dict[str, VehicleParameter] = {row.name: row for row in _ROWS}
 """The one table: every parameter of a vehicle that is used anywhere, by its name."""
