@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.vehicle.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
+from companion.core.wing.lowpass import Butterworth2
 from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.records import Axis, ClockName, Station
 
@@ -104,8 +108,8 @@ def check_filters(evidence: Evidence) -> Iterator[Finding]:
 
 def _butterworth(ratio: float) -> tuple[float, float]:
     """Gain and phase [deg] of a 2nd-order Butterworth low-pass at ``ratio`` of its corner."""
-    response = 1.0 / complex(1.0 - ratio**2, math.sqrt(2.0) * ratio)
-    return abs(response), math.degrees(math.atan2(response.imag, response.real))
+    response = complex(Butterworth2(1.0).response(np.array(ratio)))
+    return abs(response), math.degrees(cmath.phase(response))
 
 
 _WAYS = {

@@ -1,4 +1,4 @@
-"""What an autopilot tells of itself ages, and another autopilot or a reboot begins without it."""
+"""An autopilot's state ages, and another autopilot or a reboot begins without it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from companion.core.stereo.epipolar_states import BASELINE, LENS
-from companion.core.stereo.geometry import Rig
+from companion.core.stereo.geometry import Rig, epipolar_axes
 from companion.core.stereo.lens_residual import LensAxes, across_lines, parallax_columns
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
@@ -27,12 +27,7 @@ from companion.records import Floats
 
 def epipolar_frame(rig: Rig) -> Floats:
     """Rotation (3, 3) from body axes to the rig's epipolar frame at rest."""
-    apart = rig.right.rest.position_body_m - rig.left.rest.position_body_m
-    x = apart / np.linalg.norm(apart)
-    look = rig.left.rest.camera_from_body[2] + rig.right.rest.camera_from_body[2]
-    z = look - (look @ x) * x
-    z /= np.linalg.norm(z)
-    return np.stack([x, np.cross(z, x), z])
+    return epipolar_axes(rig.left.rest, rig.right.rest)
 
 
 def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:

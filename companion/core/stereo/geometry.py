@@ -34,6 +34,16 @@ class Pose(NamedTuple):
     position_body_m: Floats
 
 
+def epipolar_axes(left: Pose, right: Pose) -> Floats:
+    """Axes x along the baseline, y, and z as both cameras look in the mean, as rows (3, 3) in body axes."""
+    apart = right.position_body_m - left.position_body_m
+    x = apart / np.linalg.norm(apart)
+    look = left.camera_from_body[2] + right.camera_from_body[2]
+    z = look - (look @ x) * x
+    z /= np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Lens:
     """Pinhole with OpenCV's five distortion terms k1, k2, p1, p2, k3.

@@ -9,7 +9,7 @@ import numpy as np
 from companion.core.stereo.consistency_gate import range_reject
 from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
-from companion.core.stereo.geometry import Rig, axes_from_body
+from companion.core.stereo.geometry import Rig, axes_from_body, epipolar_axes
 from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
 from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, straightened
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
@@ -215,7 +215,7 @@ class _Scene:
 
     def toe(self) -> _Toe:
         """How far the optical axes part."""
-        sigma_rad = self.budget(toe_gradient(_epipolar_y(self.moving))).total
+        sigma_rad = self.budget(toe_gradient(epipolar_axes(*(exposure.pose for exposure in self.moving))[1])).total
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
     def sectors(self, matches: MatchSet, common_sigma_pm: float, settings: Settings) -> ObstacleSectors:
@@ -273,22 +273,9 @@ def divergence(
     pair: tuple[CameraExposure, CameraExposure], rays: tuple[Floats, Floats] = (OPTICAL_AXIS, OPTICAL_AXIS)
 ) -> float:
     """Angle by which a ray (3,) of each camera, in its own axes, parts from the other's in the epipolar plane, rad."""
-    x, z = _epipolar_xz(pair)
+    x, _, z = epipolar_axes(pair[0].pose, pair[1].pose)
     left, right = (ray @ exposure.pose.camera_from_body for ray, exposure in zip(rays, pair, strict=True))
     return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))
-
-
-def _epipolar_xz(pair: tuple[CameraExposure, CameraExposure]) -> tuple[Floats, Floats]:
-    apart = pair[1].pose.position_body_m - pair[0].pose.position_body_m
-    x = apart / np.linalg.norm(apart)
-    look = pair[0].pose.camera_from_body[2] + pair[1].pose.camera_from_body[2]
-    z = look - (look @ x) * x
-    return x, z / np.linalg.norm(z)
-
-
-def _epipolar_y(pair: tuple[CameraExposure, CameraExposure]) -> Floats:
-    x, z = _epipolar_xz(pair)
-    return np.cross(z, x)
 
 
 def _metres(inverse_pm: float) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.core.stereo.geometry import Lens, MountedCamera, Pose, Rig
+from companion.core.stereo.geometry import Lens, MountedCamera, Pose, Rig, epipolar_axes
 from companion.records import Bytes, Floats
 
 
@@ -71,16 +71,11 @@ class Rectification:
 
 def rectification(rig: Rig, left: Pose, right: Pose) -> Rectification:
     """Build the rectified frame of two poses, with the mean focal length and the size of the left image."""
-    apart = right.position_body_m - left.position_body_m
-    baseline_m = float(np.linalg.norm(apart))
-    x = apart / baseline_m
-    look = left.camera_from_body[2] + right.camera_from_body[2]
-    z = look - (look @ x) * x
-    z /= np.linalg.norm(z)
+    baseline_m = float(np.linalg.norm(right.position_body_m - left.position_body_m))
     focal = 0.5 * (rig.left.lens.focal_px + rig.right.lens.focal_px)
     width, height = rig.left.lens.size_px
     matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-    return Rectification(np.stack([x, np.cross(z, x), z]), left, right, matrix, (width, height), baseline_m)
+    return Rectification(epipolar_axes(left, right), left, right, matrix, (width, height), baseline_m)
 
 
 def rest_rectification(rig: Rig) -> Rectification:
