@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,9 +32,9 @@ def predicted(noise: RowNoise, by_state: float) -> Floats:
     return np.asarray(np.diag(noise.variance + by_state) + noise.root_y_variance * np.outer(ROOT_Y, ROOT_Y))
 
 
-def learned(innovation: Floats, by_state: float = 1.0) -> RowNoise:
+def learned(innovation: Floats, by_state: float = 1.0, noise: RowNoise | None = None) -> RowNoise:
     """Noise that is learned in some seconds of a filter whose S is the noise and ``by_state``."""
-    noise = RowNoise(BELIEVED)
+    noise = noise or RowNoise(BELIEVED)
     for block in np.split(innovation, SECONDS):
         S = predicted(noise, by_state)
         covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (len(block), ROWS, ROWS))
@@ -71,6 +73,18 @@ def test_noise_of_one_sensor_is_not_anothers() -> None:
     assert noise.ratio[0] == pytest.approx(20.0, rel=0.2)
     assert np.all(noise.ratio[1:] < 1.3)
     assert noise.shaken == (True, False)
+
+
+@pytest.mark.parametrize(("lateral_mps2", "vertical_mps2"), [(0.3, 0.1), (0.02, 3.0), (0.08, 0.1)])
+def test_a_tip_sways_by_what_its_lateral_or_its_vertical_axis_shows(lateral_mps2: float, vertical_mps2: float) -> None:
+    """Misalignment takes up what is coherent with the vertical vibration: the lateral axis alone would not show it."""
+    variance = 0.01**2
+    noise = RowNoise(replace(BELIEVED, sensor_variance=np.full(ROWS, variance), root_y_variance=variance))
+    innovation = white(1.0) * np.sqrt(2.0 * variance)
+    innovation[:, Y_LEFT] *= lateral_mps2 / np.sqrt(2.0 * variance)
+    noise.take_vertical(vertical_mps2**2 / variance, 1.0)
+    learned(innovation, variance, noise)
+    assert noise.swaying == (lateral_mps2 > 0.1 or vertical_mps2 > 0.2, vertical_mps2 > 0.2)
 
 
 def test_the_vertical_rows_are_the_gusts() -> None:

@@ -79,7 +79,7 @@ class SeparatedBiasFilter:
         self._consider(_CONSIDERED)
         if self._bend_is_calibrated():
             self._consider(["bend_per_g"])
-        self._consider_scales((False, False))
+        self._consider_scales((False, False), (False, False))
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
         self._steps_since_solution = self.steps = 0
@@ -133,20 +133,20 @@ class SeparatedBiasFilter:
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
-    def _consider_scales(self, shaken: tuple[bool, bool]) -> bool:
+    def _consider_scales(self, shaken: tuple[bool, bool], swaying: tuple[bool, bool]) -> bool:
         """Consider what shaken and mute tips cannot tell, and estimate what tips that are still again can; whether any.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
         shortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
-        lateral bias differ by the vertical force alone, with which such a tip's lateral vibration goes.
+        lateral bias differ by the vertical force alone, with which a swaying tip's lateral vibration goes.
         """
-        tips = list(zip(("left", "right"), shaken, self.layout.mute_tips, strict=True))
+        tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
         places = [place for place, loud, mute in tips if loud or mute]
         names = [f"{place}.{scale}" for place in places for scale in _SCALES]
         names += self._slopes() if places else []
         names += _TAUGHT_FALSELY if any(shaken) else []
-        names += [f"{place}.mx" for place, loud, mute in tips if loud and not mute]
+        names += [f"{place}.mx" for place, wide in zip(("left", "right"), swaying, strict=True) if wide]
         names = [name for name in names if name in self.layout.bias_parameters]
         again = [name for name in self._considered_now if name not in names]
         if again:
@@ -290,7 +290,7 @@ class SeparatedBiasFilter:
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
-        again = self._consider_scales(noise.shaken)
+        again = self._consider_scales(noise.shaken, noise.swaying)
         self._solve_bias_parameters()
         return again
 
