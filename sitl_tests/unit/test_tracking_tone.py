@@ -77,3 +77,8 @@ def test_a_short_or_a_far_window_is_refused() -> None:
     assert _listen(z[:400], t[:400]).estimate(EPOCH_NS + 500_000_000) is Reject.NOT_SETTLED
     assert _listen(z, t).estimate(EPOCH_NS + 30_000_000_000) is Reject.OUT_OF_WINDOW
     assert ToneTracker(Station.LEFT, SENSOR, (5.8, 8.8)).estimate(EPOCH_NS) is Reject.NOT_SETTLED
+
+
+def test_a_sensor_that_sends_the_same_value_for_ever_holds_no_tone() -> None:
+    t = np.arange(1400) / 333.0
+    assert _listen(np.zeros(len(t)), t).estimate(EPOCH_NS + 2_100_000_000) is Reject.NO_MODE

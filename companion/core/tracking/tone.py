@@ -120,11 +120,12 @@ class ToneTracker:
         span = float(t[-1] - t[0])
         density, around = _density_around(t, residual, frequency, span)
         square = float(coefficients @ coefficients)
+        total = 0.5 * square + around  # 0 where the sensor sends the same value for ever
         return _Line(
             frequency,
             coefficients,
             density,
-            0.5 * square / (0.5 * square + around),
+            0.5 * square / total if total > 0.0 else 0.0,
             square * span / (4.0 * max(density, 1e-30)),
         )
 
