@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, ToeData
 from companion.diagnosis.data.resampling import observe
@@ -16,9 +17,10 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
+from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
 from companion.params.airframe import Airframe, Uncertain
-from companion.params.files import parse_airframe
+from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
 from tools.trial_truths.belief import airframe_text
 
@@ -86,6 +88,12 @@ def test_ringing_that_the_recording_cuts_off_leaks_into_no_slow_bend(phase_rad: 
     inside = (t_s > 4.0) & (t_s < t_s[-1] - 4.0)
     smoothed_m = ringing.expect(np.zeros(len(quiet.belief.nuisances))).q_m[0]
     assert np.abs(smoothed_m - bend_m)[inside].max() < 0.02 * amplitude_m
+
+
+@pytest.mark.parametrize(("name", "toe"), [("nadir-2m", 1.0), ("forward-2m", 0.0)])
+def test_a_bend_turns_the_cameras_against_each_other_only_where_they_look_down(name: str, toe: float) -> None:
+    """Ahead it turns both images about their axes, and no range shows it."""
+    np.testing.assert_allclose(_toe_per_slope(Rig.from_airframe(load_airframe(name))), toe, atol=1e-12)
 
 
 @pytest.mark.parametrize("has_reference", [True, False])

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from companion.core.stereo.geometry import Rig, epipolar_axes
 from companion.core.wing.effect import CameraView, Effect, viewed
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations, ToeData
@@ -34,6 +35,7 @@ class ToeModel:
         assert left_camera is not None
         assert right_camera is not None
         self.baseline_m = right_camera.position_m[1] - left_camera.position_m[1]
+        self._toe_per_slope = _toe_per_slope(Rig.from_airframe(belief.airframe))
         place = np.abs(np.subtract.outer(toe.t_s, toe.t_s)) * (_FINER / transforms.dt_s)
         self._lag = place.astype(np.int32)
         self._beyond = place - self._lag
@@ -135,7 +137,7 @@ class ToeModel:
 
     def _slope(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:
         """Slope of either camera per modal deflection, (2, n, f); (2, n, 1) where every frequency is followed alike."""
-        slope = wing.structure.slope_radpm[..., None]
+        slope = wing.structure.slope_radpm[..., None] * self._toe_per_slope[:, None, None]
         return np.stack([view.follows(self._omega) * slope[side] for side, view in enumerate(views)])
 
     def _static(self, wing: WingModel, side: Side, view: CameraView, at_s: Floats) -> Floats:
@@ -143,4 +145,10 @@ class ToeModel:
         # what the load factor bends beyond its mean is in the motion: it drives the wing
         load = np.full(len(at_s), float(np.mean(self._observations.load_factor)) - 1.0)
         bend = structure.static_trim_m[:, None] + structure.static_per_g_m[:, None] * load
-        return np.asarray(view.slope_gain * (structure.slope_radpm[side] @ bend))
+        return np.asarray(view.slope_gain * self._toe_per_slope[side] * (structure.slope_radpm[side] @ bend))
+
+
+def _toe_per_slope(rig: Rig) -> Floats:
+    """Toe by the slope of either tip, (2,): 1 for a pair that looks down, 0 ahead, where a bend turns images alone."""
+    turns = np.stack([-rig.left.turn_rad(1.0), rig.right.turn_rad(1.0)], axis=1)
+    return np.asarray((epipolar_axes(rig.left.rest, rig.right.rest) @ turns)[1])
