@@ -46,7 +46,9 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _check() -> None:
-    present = _PAGE.read_text(encoding="utf-8") if _PAGE.is_file() else ""
+    if not _PAGE.is_file():
+        raise ConfigError(f"no {_PAGE} here: --check is for a checkout of the sources")
+    present = _PAGE.read_text(encoding="utf-8")
     if present != parameters_page():
         raise ConfigError(f"{_PAGE} is stale: run 'spanwise params --write' and commit it")
     print(f"{_PAGE} is fresh")

@@ -84,7 +84,7 @@ class OutputCounters:
 
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
-    check_output(options.out, "--out")
+    check_output(options.out, "--out", [options.recording])
     recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")

@@ -77,6 +77,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
     """Configuration that the options ask for."""
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
+    if len(set(options.connect)) < len(options.connect):
+        raise ConfigError(f"--connect {' --connect '.join(options.connect)}: the same link twice; name each once")
     if options.record_keep is not None and options.record is None:
         raise ConfigError("--record-keep needs --record")
     if options.parameters is None:
@@ -178,16 +180,31 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
         signal.signal(ending, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}", options.seconds)
     live = live_view_possible(plain=options.plain)
-    began = time.monotonic()
+    began, before = time.monotonic(), _recordings(config.recording)
     keeper = LatencyKeeper(_latency_file(options), _path(options))
     try:
         fly(Service(config), view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take)
     finally:
         keeper.keep()
     print(view.line(time.monotonic() - began).strip())
-    if config.recording is not None and config.recording.exists():
-        print(f"recorded {config.recording}; next: spanwise report {config.recording}")
+    if config.recording is not None:
+        print(_recorded(config.recording, before))
     if options.seconds and not stopped and not view.began:
         print(f"spanwise run: nothing to estimate in {options.seconds:g} s", file=sys.stderr)
         return NOTHING_TO_ESTIMATE
     return 0
+
+
+def _recordings(path: Path | None) -> dict[Path, int]:
+    """Recordings of that name and their numbered successors, with the instants of their last change."""
+    files = path.parent.glob(f"{path.stem}*{path.suffix}") if path is not None else ()
+    return {entry: entry.stat().st_mtime_ns for entry in files}
+
+
+def _recorded(path: Path, before: dict[Path, int]) -> str:
+    """The sentence about the recording: a file of that name from before stays, and the next free number is written."""
+    written = {entry: changed for entry, changed in _recordings(path).items() if before.get(entry) != changed}
+    if not written:
+        return f"nothing was recorded to {path}"
+    newest = max(written, key=lambda entry: written[entry])
+    return f"recorded {newest}; next: spanwise report {newest}"

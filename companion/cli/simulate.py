@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from companion.cli.steps.effect_list import add_effect_list
@@ -79,4 +80,8 @@ def _effect(text: str) -> NamedEffect:
         raise ConfigError(
             f"--effect {text}: '{value}' is not a number ({first.name}, {first.unit or 'a ratio'})"
         ) from error
+    if not math.isfinite(number):
+        raise ConfigError(
+            f"--effect {text}: '{value}' is not a finite number ({first.name}, {first.unit or 'a ratio'})"
+        )
     return NamedEffect(name, {first.name: number})

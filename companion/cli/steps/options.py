@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.recording import Recording
@@ -79,16 +80,19 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     return settings.with_values(values)
 
 
-def check_output(path: Path | None, option: str) -> None:
+def check_output(path: Path | None, option: str, inputs: Sequence[Path] = ()) -> None:
     """Refuse a file that cannot be written, before the work whose result it is to hold.
 
     Raises
     ------
     ConfigError
-        Its folder is missing or not writable, or it is a folder itself.
+        Its folder is missing or not writable, it is a folder itself, or a file of one of the recordings ``inputs``.
     """
     if path is None or str(path) == "-":
         return
+    holder = path.parent if path.suffix == ".csv" else path  # a table of a laboratory's folder
+    if path.exists() and any(recording.exists() and recording.samefile(holder) for recording in inputs):
+        raise ConfigError(f"{option} {path}: is the recording itself, which it would overwrite; name another file")
     if path.is_dir():
         raise ConfigError(f"{option} {path}: is a folder; name a file")
     if not path.parent.is_dir():
