@@ -59,7 +59,7 @@ def execute(options: argparse.Namespace) -> int:
     """Diagnose; a verdict is exit code 0, that nothing can be told from these recordings 3."""
     for option in ("json", "html", "apply"):
         path = getattr(options, option)
-        check_output(Path(path) if path else None, f"--{option}", options.recordings)
+        check_output(Path(path) if path else None, f"--{option}", [Path(name) for name in options.recordings])
     if options.html:
         require_report()
     progress = _Progress(options.json != "-")
