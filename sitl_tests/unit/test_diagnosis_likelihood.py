@@ -10,12 +10,14 @@ import pytest
 
 from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import catalogue
+from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, ToeData
 from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
+from companion.diagnosis.model.linear_spectra import Spectra
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
@@ -94,6 +96,31 @@ def test_ringing_that_the_recording_cuts_off_leaks_into_no_slow_bend(phase_rad: 
 def test_a_bend_turns_the_cameras_against_each_other_only_where_they_look_down(name: str, toe: float) -> None:
     """Ahead it turns both images about their axes, and no range shows it."""
     np.testing.assert_allclose(_toe_per_slope(Rig.from_airframe(load_airframe(name))), toe, atol=1e-12)
+
+
+@pytest.mark.parametrize(("rigid", "low_ratio"), [({}, 0.4), ({"p": np.zeros(3000)}, 0.15)])
+def test_an_aircraft_whose_roll_was_not_recorded_is_judged_above_its_rolls(
+    drawn: FlightModel, rigid: dict[str, Any], low_ratio: float
+) -> None:
+    flown = dataclasses.replace(drawn.observations, has_root=True, rigid=rigid)
+    lowest_hz = FlightModel(drawn.belief, flown, TOP_HZ).band_hz[0]
+    assert lowest_hz == pytest.approx(low_ratio * 5.0, abs=RATE_HZ / 3000)
+
+
+@pytest.mark.parametrize(("corner_hz", "share_at_corner"), [(10.0, 0.5), (40.0, 0.0)])
+def test_noise_ahead_of_a_low_pass_is_shaped_by_it_where_that_can_be_told(
+    airframe: Airframe, corner_hz: float, share_at_corner: float
+) -> None:
+    """White noise falls to half its density at a Butterworth corner; of noise behind it a little is left here."""
+    left = dataclasses.replace(airframe.left, rate_hz=200.0, lowpass_accel_hz=corner_hz)
+    belief = believe(dataclasses.replace(airframe, left=left), (Side.LEFT,), False, False)
+    behind = {"left.noise": -20.0}
+    deviation = belief.named([behind.get(entry.key, 0.0) for entry in belief.nuisances])
+    spectra = Spectra(belief.airframe, (Side.LEFT,), np.array([0.0, corner_hz]))
+    structure = WingModel(airframe.wing).structure
+    noise = spectra.linear(structure, np.ones(1), (), deviation).noise[0, 0]
+    believed = 0.5 * airframe.left.accel_noise_mps2_rthz**2
+    assert noise[1] == pytest.approx(share_at_corner * believed, abs=1e-12 * believed)
 
 
 @pytest.mark.parametrize("has_reference", [True, False])

@@ -161,6 +161,11 @@ class Observations:
         return self.load_factor if self.bending_factor is None else self.bending_factor
 
     @property
+    def roll_is_missing(self) -> bool:
+        """Whether an aircraft's root was recorded, but not the roll that its tips feel against each other."""
+        return self.has_root and len(self.sides) > 1 and "p" not in self.rigid
+
+    @property
     def duration_s(self) -> float:
         """Length of the grid."""
         return len(self.up_mps2) / self.rate_hz

@@ -75,6 +75,10 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
     defects = {side: _faults(raw.tips[side], segments, airframe, side) for side in sorted(raw.tips)}
     observed = [_observed(ordered, airframe, segment, top_hz, fine_hz, defects) for segment in segments]
     units = _units([entry.covariates for entry in observed], airframe)
+    if observed[0].roll_is_missing:
+        notes.append(
+            "the root's roll rate was not recorded (root_p_radps): what is slower than the aircraft rolls is not judged"
+        )
     begun_s = segments[0].start_s
     return [
         dataclasses.replace(

@@ -23,12 +23,13 @@ from companion.records import Floats, Side
 _INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
 _UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells (choice)
 _UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted (choice)
+_LOW_CORNER = 0.125  # of a sensor's rate: a low-pass below shapes what the sensor adds ahead of it (choice)
 _CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error (choice)
 _COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1 (choice)
 _MATCH_SIGMA_PX = 0.3  # chosen: noise of one match in hard texture; a pair's median knows it better
 _RECORDING_MARK = "#"
 _GAIN = "gain:"
-_CHANGING = (".level", ".noise", ".bias_mps2", "match")
+_CHANGING = (".level", ".noise", ".noise_ahead", ".bias_mps2", "match")
 _RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
 
 
@@ -105,6 +106,8 @@ def believe(
         sensor = (airframe.left, airframe.right)[side]
         name = side.name.lower()
         nuisances.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
+        if 0.0 < sensor.lowpass_accel_hz < _LOW_CORNER * sensor.rate_hz:
+            nuisances.append(Nuisance(f"{name}.noise_ahead", _UNKNOWN_NOISE, True))
         nuisances.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
         nuisances.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
         nuisances.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))

@@ -30,6 +30,9 @@ from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
 _LOW = 0.15  # of the first symmetric frequency: lower edge of the band (choice)
+_LOW_UNDER_ROLL = (
+    0.4  # the same where the aircraft's roll was not recorded, which no tip can tell from the wing (choice)
+)
 _UNIT = 1e-3  # prior sigmas, for a difference quotient (numerical)
 _NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off (choice)
 
@@ -48,7 +51,7 @@ class FlightModel:
         self.transforms = Transforms(len(observations.up_mps2), 1.0 / observations.rate_hz, observations.start_s)
         all_hz = self.transforms.f_hz
         first_hz = belief.airframe.wing.symmetric.frequency_hz.value
-        low_hz = _LOW * first_hz
+        low_hz = (_LOW_UNDER_ROLL if observations.roll_is_missing else _LOW) * first_hz
         self._low = int(np.searchsorted(all_hz, low_hz))
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * observations.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]

@@ -34,7 +34,7 @@ class Linear:
         Two-sided load density.
     sensing : (c, n, f)
         Accelerometer channel per modal deflection.
-    noise : (c, c)
+    noise : (c, c, f)
         Two-sided density; what a root sensor adds is the same on both sides.
     """
 
@@ -71,7 +71,9 @@ class Spectra:
         """
         inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
         gains = scale[:, None] * self.responses(effects, deviation)
-        noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
+        noise = self._root_noise + np.zeros((len(self.sides), len(self.sides), len(self.f_hz)))
+        for i, side in enumerate(self.sides):
+            noise[i, i] += self._noise(i, side, deviation)
         load = self._load(structure, effects, deviation)
         sensing: Complexes = gains[:, None] * inertia
         for effect in effects:
@@ -171,9 +173,15 @@ class Spectra:
             gain = gain if response is None else gain * response
         return np.asarray(gain)
 
-    def _noise(self, side: Side, deviation: Mapping[str, float]) -> float:
-        density = self.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz
-        return float(0.5 * density**2 * np.exp(2.0 * deviation.get(f"{side.name.lower()}.noise", 0.0)))
+    def _noise(self, channel: int, side: Side, deviation: Mapping[str, float]) -> Floats:
+        """Noise behind a sensor's low-pass, and ahead of it where that is told apart, (f,) or ()."""
+        believed = 0.5 * self.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz ** 2
+        name = side.name.lower()
+        density = np.asarray(believed * np.exp(2.0 * deviation.get(f"{name}.noise", 0.0)))
+        ahead = deviation.get(f"{name}.noise_ahead")
+        if ahead is not None:
+            density = density + believed * np.exp(2.0 * ahead) * np.abs(self._filters[channel]) ** 2
+        return density
 
     def _load_shape(self, deviation: Mapping[str, float]) -> Floats:
         shape = np.ones_like(self.f_hz)
@@ -194,9 +202,11 @@ class Spectra:
 
 def spectrum_of(linear: Linear, low: int) -> Complexes:
     """Two-sided density of what is seen from frequency ``low`` on, (c, c, b)."""
-    band = Linear(linear.receptance[..., low:], linear.load[..., low:], linear.sensing[..., low:], linear.noise)
+    band = Linear(
+        linear.receptance[..., low:], linear.load[..., low:], linear.sensing[..., low:], linear.noise[..., low:]
+    )
     per_load = product(band.sensing, band.receptance)
-    return np.asarray(product(product(per_load, band.load), adjoint(per_load)) + linear.noise[..., None])
+    return np.asarray(product(product(per_load, band.load), adjoint(per_load)) + band.noise)
 
 
 def receptance(structure: Structure, omega: Floats) -> Complexes:

@@ -89,7 +89,7 @@ class SmoothedMotion:
         loaded = product(per_load, linear.load)
         self.cross = adjoint(product(loaded, adjoint(linear.receptance)))  # (n, c, f): q with what is seen
         self.spectrum = product(loaded[..., low:], adjoint(per_load[..., low:]))
-        self.spectrum += linear.noise[..., None]
+        self.spectrum += linear.noise[..., low:]
         self.inverse = inverse(self.spectrum)
 
     def _linearise(self, linear_of: Callable[[Structure, Complexes | None], Linear]) -> None:
