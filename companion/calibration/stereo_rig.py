@@ -19,6 +19,7 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 
+_NAMED = 5  # refused views in the sentence of an error (choice)
 LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by (choice)
 _OUTLIER = 3.0  # times the median reprojection error of the views (choice)
 _HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do (choice)
@@ -150,7 +151,8 @@ def calibrate_rig(
     refused = dict(rejected or {})
     while True:
         if len(views) < LEAST_VIEWS:
-            raise ConfigError(f"{len(views)} usable views are too few, {LEAST_VIEWS} are needed; refused: {refused}")
+            reasons = "; ".join(f"{name}: {why}" for name, why in [*refused.items()][:_NAMED]) or "none"
+            raise ConfigError(f"{len(views)} usable views are too few, {LEAST_VIEWS} are needed; refused: {reasons}")
         alone = [_lens(views, side, board, size_px) for side in Side]
         bad = _worst([lens.errors_px for lens in alone], "reprojection error {:.2f} px in the {} image, usual {:.2f}")
         bundle = None if bad else _bundle(views, board, alone, size_px)

@@ -12,6 +12,7 @@ from typing import Any
 from companion.adapters.triggers.trigger_factory import trigger_factory
 from companion.cli.steps import setup_wing
 from companion.errors import TO_FIX, SetupError, SpanwiseError
+from companion.params.files import load_airframe
 from companion.setup import manifest
 from companion.setup.boards import BOARDS, CompanionBoard, board_of
 from companion.setup.checks import checks
@@ -138,7 +139,12 @@ def _answers(tree: Tree, board: CompanionBoard, previous: Manifest, options: arg
 
 
 def _checked(choices: Choices) -> Choices:
-    """The choices, whose cameras and trigger are refused here if ``spanwise run`` would refuse them."""
+    """The choices, whose airframe's name, cameras and trigger are refused here if ``spanwise run`` would refuse them.
+
+    A file of an airframe may be made later.
+    """
+    if not Path(choices.airframe).suffix:
+        load_airframe(choices.airframe)
     trigger_factory(choices.trigger or "none")
     if choices.cameras and ":" not in choices.cameras:
         raise SetupError(f"cameras '{choices.cameras}': name kind and place, as in oak:CAM_B,CAM_C; - for none")
