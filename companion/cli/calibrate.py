@@ -20,7 +20,7 @@ from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
-from companion.cli.steps.options import make_folder
+from companion.cli.steps.options import check_output, make_folder
 from companion.errors import ConfigError
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
 from companion.params.airframe import Airframe, Camera, Uncertain
@@ -75,6 +75,7 @@ def execute(options: argparse.Namespace) -> int:
         require_report()
     base = load_airframe(options.airframe)
     make_folder(options.out)
+    check_output(options.out / "airframe.toml", "--out")
     airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
     path = options.out / "airframe.toml"
     path.write_text(dump_airframe(airframe), encoding="utf-8")
@@ -152,8 +153,13 @@ def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
-    pair = base.camera_pair
-    result = trigger_latency(open_recording(options.recording, base).records())
+    pair, recording = base.camera_pair, open_recording(options.recording, base)
+    if recording.airframe.name != base.name:
+        raise ConfigError(
+            f"{options.recording}: recorded by airframe '{recording.airframe.name}', not by '{base.name}'; "
+            "give the airframe whose cameras it has"
+        )
+    result = trigger_latency(recording.records())
     cameras: list[Camera] = []
     for side, camera in zip(Side, pair, strict=True):
         median, sigma, p99 = (float(values[side]) for values in (result.median_s, result.sigma_s, result.p99_s))

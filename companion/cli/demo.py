@@ -17,7 +17,7 @@ from companion.cli.steps.demo_realtime import fly_in_real_time
 from companion.cli.steps.landing_demo import land
 from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.lockstep import LockStepService
-from companion.cli.steps.numbers import integer, seconds, seed
+from companion.cli.steps.numbers import flight_seconds, integer, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
 from companion.cli.terminal.progress import say
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="an airframe with two cameras")
     parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
-    parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--duration", type=flight_seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="where the results go")
     parser.add_argument(
         "--world",
@@ -75,6 +75,8 @@ def execute(options: argparse.Namespace) -> int:
     airframe = load_airframe(options.airframe)
     if airframe.left_camera is None or airframe.right_camera is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
+    if options.flights > 1 and not options.landing:
+        raise ConfigError("--flights is of --landing: give both")
     make_folder(options.out)
     if options.landing:
         return land(airframe, read_settings(options), options)

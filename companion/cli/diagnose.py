@@ -57,9 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose; a verdict is exit code 0, that nothing can be told from these recordings 3."""
+    inputs = [Path(name) for name in (*options.recordings, options.airframe) if name]
     for option in ("json", "html", "apply"):
         path = getattr(options, option)
-        check_output(Path(path) if path else None, f"--{option}", [Path(name) for name in options.recordings])
+        check_output(Path(path) if path else None, f"--{option}", inputs)
     if options.html:
         require_report()
     progress = _Progress(options.json != "-")

@@ -12,7 +12,7 @@ from pathlib import Path
 from companion.adapters.recordings.recording_factory import SUFFIXES, is_recording_file
 from companion.cli.steps.fleet_tasks import NO_PAGES, work
 from companion.cli.steps.numbers import integer
-from companion.cli.steps.options import make_folder
+from companion.cli.steps.options import check_output, make_folder
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, MissingExtra
 from companion.evaluation.fleet import page
 from companion.evaluation.fleet.campaign import work_off
@@ -59,6 +59,8 @@ def execute(options: argparse.Namespace) -> int:
         raise ConfigError("fleet tune: only recordings of Spanwise can be tuned, and they hold their airframe")
     paths = _files(options.logs)
     make_folder(options.out)
+    check_output(options.out / "fleet.html", "--out")
+    check_output(options.out / "fleet.csv", "--out")
     words = (options.kind, *(("--airframe", options.airframe) if options.airframe else ()))
     words += (NO_PAGES,) if options.no_pages else ()
     tasks = tasks_of(paths, words, options.out)

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from companion.cli.steps.effect_list import add_effect_list
-from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.numbers import flight_seconds, seed
 from companion.cli.steps.options import make_folder
 from companion.core.wing.effects import catalogue
 from companion.errors import ConfigError
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--seed", type=seed, default=1, help="of everything random")
-    parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--duration", type=flight_seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--gust", default="airframe", choices=[kind.value for kind in GustKind], help="its spectrum")
     parser.add_argument("--exact", action="store_true", help="fly the believed airframe, not one drawn from its priors")
     parser.add_argument(

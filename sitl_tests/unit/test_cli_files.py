@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,6 +11,7 @@ from companion.cli.main import main
 from companion.cli.run import _recorded, _recordings
 from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
+from companion.params.files import dump_airframe, load_airframe
 
 
 @pytest.mark.parametrize("link", [False, True])
@@ -18,14 +20,14 @@ def test_a_recording_is_not_overwritten_by_what_is_made_of_it(tmp_path: Path, *,
     recording.write_bytes(b"a flight")
     if link:
         other.symlink_to(recording)
-    with pytest.raises(ConfigError, match="the recording itself"):
+    with pytest.raises(ConfigError, match="is what is read"):
         check_output(other if link else recording, "--out", [recording])
     check_output(tmp_path / "new.mcap", "--out", [recording])
 
 
 def test_a_table_of_a_laboratorys_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "accel.csv").write_text("t_s\n")
-    with pytest.raises(ConfigError, match="the recording itself"):
+    with pytest.raises(ConfigError, match="is what is read"):
         check_output(tmp_path / "accel.csv", "--json", [tmp_path])
     (tmp_path / "found.json").write_text("{}")
     check_output(tmp_path / "found.json", "--json", [tmp_path])
@@ -38,7 +40,7 @@ def test_replay_and_report_leave_their_recording_as_it_is(
     recording = tmp_path / "flight.mcap"
     recording.write_bytes(b"a flight")
     assert main([command[0], str(recording), command[1], str(recording)]) == 1
-    assert "the recording itself" in capsys.readouterr().err
+    assert "is what is read" in capsys.readouterr().err
     assert recording.read_bytes() == b"a flight"
 
 
@@ -57,3 +59,49 @@ def test_an_effect_of_no_finite_size_is_refused(tmp_path: Path, capsys: pytest.C
     assert main(["simulate", "--airframe", "nadir-2m", "--effect", f"tone={value}", "--out", str(where)]) == 1
     assert "not a finite number" in capsys.readouterr().err
     assert not where.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["demo", "--flights", "3"], "--flights is of --landing"),
+        (["setup", "--dry-run", "--airframe", "no-such-wing", "--link", "serial:/dev/ttyAMA0:921600"], "no-such-wing"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(capsys: pytest.CaptureFixture[str], words: list[str], sentence: str) -> None:
+    assert main(words) == 1
+    assert sentence in capsys.readouterr().err
+
+
+def test_an_airframe_file_may_begin_with_the_mark_of_an_editor(tmp_path: Path) -> None:
+    marked = tmp_path / "wing.toml"
+    marked.write_text(dump_airframe(load_airframe("nadir-2m")), encoding="utf-8-sig")
+    assert load_airframe(str(marked)) == load_airframe("nadir-2m")
+
+
+def test_the_airframe_that_is_read_is_not_replaced_by_what_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wing, flight = tmp_path / "wing.toml", tmp_path / "flight"
+    wing.write_text(dump_airframe(load_airframe("nadir-2m")))
+    before = wing.read_text()
+    flight.mkdir()
+    (flight / "accel.csv").write_text("t_s,left_z_mps2,right_z_mps2\n")
+    assert main(["diagnose", str(flight), "--airframe", str(wing), "--apply", str(wing)]) == 1
+    assert "is what is read" in capsys.readouterr().err
+    assert wing.read_text() == before
+
+
+def test_ranges_of_an_earlier_flight_do_not_stay_beside_a_flight_without_cameras(tmp_path: Path) -> None:
+    for name in ("nadir-2m", "sitl-plane"):
+        assert main(["simulate", "--airframe", name, "--duration", "2", "--out", str(tmp_path)]) == 0
+    assert not (tmp_path / "range.csv").exists()
+
+
+def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = SimpleNamespace(airframe=load_airframe("forward-2m"))
+    monkeypatch.setattr("companion.cli.calibrate.open_recording", lambda *_: recording)
+    assert main(["calibrate", "latency", "flight.mcap", "--airframe", "nadir-2m", "--out", str(tmp_path)]) == 1
+    assert "recorded by airframe 'forward-2m', not by 'nadir-2m'" in capsys.readouterr().err

@@ -13,6 +13,11 @@ def seconds(text: str) -> float:
     return number(0.0, _LONGEST_S, "seconds")(text)
 
 
+def flight_seconds(text: str) -> float:
+    """Length of a simulated flight, which has a beginning and an end; for argparse."""
+    return number(1.0, _LONGEST_S, "seconds")(text)
+
+
 def number(above: float, most: float, unit: str) -> Callable[[str], float]:
     """A number in this range, the lower end left out; for argparse."""
 

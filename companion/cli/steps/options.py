@@ -81,18 +81,18 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
 
 
 def check_output(path: Path | None, option: str, inputs: Sequence[Path] = ()) -> None:
-    """Refuse a file that cannot be written, before the work whose result it is to hold.
+    """Refuse a file that cannot be written, or is read, before the work whose result it is to hold.
 
     Raises
     ------
     ConfigError
-        Its folder is missing or not writable, it is a folder itself, or a file of one of the recordings ``inputs``.
+        Its folder is missing or not writable, it is a folder itself, or one of ``inputs`` or a table in one.
     """
     if path is None or str(path) == "-":
         return
     holder = path.parent if path.suffix == ".csv" else path  # a table of a laboratory's folder
-    if path.exists() and any(recording.exists() and recording.samefile(holder) for recording in inputs):
-        raise ConfigError(f"{option} {path}: is the recording itself, which it would overwrite; name another file")
+    if path.exists() and any(entry.exists() and entry.samefile(holder) for entry in inputs):
+        raise ConfigError(f"{option} {path}: is what is read, and would be overwritten; name another file")
     if path.is_dir():
         raise ConfigError(f"{option} {path}: is a folder; name a file")
     if not path.parent.is_dir():

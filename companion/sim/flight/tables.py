@@ -28,11 +28,16 @@ _TARGET_AHEAD_M = 30.0  # chosen: a wall at a distance where bend and noise both
 
 
 def write_csv(flight: Flight, folder: Path) -> list[Path]:
-    """Write the tables and give their paths; the folder is made. Ranges are written where the aircraft has cameras."""
+    """Write the tables and give their paths; the folder is made. Ranges are written where the aircraft has cameras.
+
+    Ranges of an earlier flight do not stay beside this one's accelerations.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     written = [_write_accel(flight, folder / "accel.csv")]
+    ranges = folder / "range.csv"
+    ranges.unlink(missing_ok=True)
     if flight.airframe.left_camera is not None:
-        written.append(_write_ranges(flight, folder / "range.csv"))
+        written.append(_write_ranges(flight, ranges))
     return written
 
 
