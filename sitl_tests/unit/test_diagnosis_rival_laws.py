@@ -90,7 +90,7 @@ def test_a_leak_adds_the_share_of_the_other_side_s_spectrum() -> None:
     leaking = leak.with_values({"leaked_ratio": 0.1})
     values = np.append(null.values, 0.1)
     before, after = null.state.expectations[0], expect([model], values, (leaking,))[0]
-    noise = before.motion.linear.noise[..., None]
+    noise = before.motion.linear.noise[..., -before.spectrum.shape[-1] :]
     motion = before.spectrum - noise
     mix = np.array([[1.0, 0.1], [0.0, 1.0]])
     assert after.spectrum == pytest.approx(np.einsum("ij,jkf,lk->ilf", mix, motion, mix) + noise, rel=1e-9)
