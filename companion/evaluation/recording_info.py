@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -155,14 +154,8 @@ def _uses(recording: Recording, info: RecordingInfo) -> str:
         return "nothing to replay or to diagnose: no inertial samples"
     replay = "as published" if recording.replayable else "anew, not as published"
     text = f"can be used for: spanwise replay (estimates {replay})"
-    missing = _missing(info.streams)
-    if missing:
-        return f"{text}; not for spanwise diagnose, which needs {missing}"
-    return f"{text}, spanwise diagnose (has wing sensors and root)"
-
-
-def _missing(streams: Iterable[Station]) -> str:
-    stations = set(streams)
-    absent = [] if stations - {Station.ROOT} else ["samples of a wing tip"]
-    absent += [] if Station.ROOT in stations else ["samples of the root"]
-    return " and ".join(absent)
+    stations = set(info.streams)
+    if not stations - {Station.ROOT}:
+        return f"{text}; not for spanwise diagnose, which needs samples of a wing tip"
+    root = "and root" if Station.ROOT in stations else "alone: without a root the aircraft's own motion stays in them"
+    return f"{text}, spanwise diagnose (has wing sensors {root})"

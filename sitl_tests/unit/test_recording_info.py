@@ -183,3 +183,13 @@ def test_a_log_without_the_wing_says_which_command_cannot_use_it(
     writer.close()
     assert main(["info", str(tmp_path / "root.mcap")]) == 0
     assert "not for spanwise diagnose, which needs samples of a wing tip" in capsys.readouterr().out
+
+
+def test_a_recording_of_the_tips_alone_can_be_diagnosed_and_says_what_stays_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = McapWriter(tmp_path / "tips.mcap", About.of(AIRFRAME, Settings()))
+    writer.write(batch(Station.LEFT, 0, 1000))
+    writer.close()
+    assert main(["info", str(tmp_path / "tips.mcap")]) == 0
+    assert "spanwise diagnose (has wing sensors alone: without a root" in capsys.readouterr().out
