@@ -12,7 +12,7 @@ typedef struct {
     const array *by_slope, *by_lift;               /* (2, 3) */
     const array *exposure_s;                       /* (2,) */
     double px;
-} eyes;
+} motion_maps;
 
 typedef struct {
     const array *image, *per_rate, *acceleration, *rms; /* (n, 2, 3), (2, 3), (n, 2), (n, 2) */
@@ -32,14 +32,14 @@ static void differentiate(const double *rates, int64_t n, double step_s, double 
 }
 
 /* Image motion, what a slope rate adds to it, slope accelerations and expected rms blur over n > 1 instants. */
-EXPORT int64_t trigger_streaks(const eyes *eyes, const array *rates_in, const array *covariance_in, double step_s,
+EXPORT int64_t trigger_streaks(const motion_maps *motion_maps, const array *rates_in, const array *covariance_in, double step_s,
                                const array *shifts_ns_in, const array *sigmas_ns_in, const array *body_rate_in,
                                const array *velocity_in, double nearness, const streaks *out)
 {
     bool good = true;
-    const double *by_rate = reals(eyes->by_rate, 3, &good), *by_velocity = reals(eyes->by_velocity, 3, &good);
-    const double *by_lever = reals(eyes->by_lever, 3, &good), *by_slope = reals(eyes->by_slope, 2, &good);
-    const double *by_lift = reals(eyes->by_lift, 2, &good), *exposure_s = reals(eyes->exposure_s, 1, &good);
+    const double *by_rate = reals(motion_maps->by_rate, 3, &good), *by_velocity = reals(motion_maps->by_velocity, 3, &good);
+    const double *by_lever = reals(motion_maps->by_lever, 3, &good), *by_slope = reals(motion_maps->by_slope, 2, &good);
+    const double *by_lift = reals(motion_maps->by_lift, 2, &good), *exposure_s = reals(motion_maps->exposure_s, 1, &good);
     const double *rates = reals(rates_in, 2, &good), *covariance = reals(covariance_in, 3, &good);
     const double *shifts_ns = reals(shifts_ns_in, 1, &good), *sigmas_ns = reals(sigmas_ns_in, 1, &good);
     const double *body_rate = reals(body_rate_in, 1, &good), *velocity = reals(velocity_in, 1, &good);
@@ -67,7 +67,7 @@ EXPORT int64_t trigger_streaks(const eyes *eyes, const array *rates_in, const ar
                 image[6 * k + 3 * side + axis] = moved;
                 square += squared(moved);
             }
-            rms[2 * k + side] = eyes->px * sqrt(square);
+            rms[2 * k + side] = motion_maps->px * sqrt(square);
         }
     }
     return 0;

@@ -80,7 +80,7 @@ class InertialLoop:
     errors: RateLimiter = field(default_factory=lambda: RateLimiter(_SECOND_NS))
     outputs: list[Record] = field(default_factory=list)
     pace: TickPace = field(default_factory=TickPace)
-    strains: dict[str, str] = field(default_factory=dict)
+    overloads: dict[str, str] = field(default_factory=dict)
 
     def run_once(self) -> None:
         """Handle what has arrived, then the tick if it is due."""
@@ -92,7 +92,7 @@ class InertialLoop:
             self._handle(shot)
         for said in self.inbox():
             if isinstance(said, Overload):
-                self._strained(said)
+                self._overloaded(said)
             elif isinstance(said, ParameterRequest):
                 self.autopilot.set_own_parameter(said.name, said.value)
             else:
@@ -104,15 +104,17 @@ class InertialLoop:
             self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
             self._handle(Tick(now_ns))
             self.alive(now_ns, self.status)
-            if (strain := self.pace.ticked(now_ns)) is not None:
-                self._strained(strain)
+            if (overload := self.pace.ticked(now_ns)) is not None:
+                self._overloaded(overload)
 
-    def _strained(self, strain: Overload) -> None:
+    def _overloaded(self, overload: Overload) -> None:
         """Say who cannot keep up, or does again, and let the state's reason say it as long as that lasts."""
-        self.strains.pop(strain.who, None)
-        if strain.text:
-            self.strains[strain.who] = strain.text
-        self._route(Notice(Severity.WARNING if strain.text else Severity.INFO, strain.sentence, self.clock.now_ns()))
+        self.overloads.pop(overload.who, None)
+        if overload.text:
+            self.overloads[overload.who] = overload.text
+        self._route(
+            Notice(Severity.WARNING if overload.text else Severity.INFO, overload.sentence, self.clock.now_ns())
+        )
 
     def _handle(self, record: Record) -> None:
         if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
@@ -129,8 +131,10 @@ class InertialLoop:
 
     def _route(self, output: Record) -> None:
         self.recorder.write(output)
-        if isinstance(output, ServiceStatus) and self.strains:  # the machine's, not the estimation's: a replay has none
-            reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.strains.values())])
+        if (
+            isinstance(output, ServiceStatus) and self.overloads
+        ):  # the machine's, not the estimation's: a replay has none
+            reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.overloads.values())])
             output = dataclasses.replace(output, reason=reason)
         if isinstance(output, ServiceStatus):
             self.status = f"{output.health.name.lower()}: {output.reason}"

@@ -37,8 +37,8 @@ def run(
     pace = VisionPace()
     try:
         while not stop.is_set():
-            if (strain := pace.looked(clock.now_ns())) is not None:
-                send(strain)
+            if (overload := pace.looked(clock.now_ns())) is not None:
+                send(overload)
             frames = cameras.poll(_POLL_S)
             for word in updates():
                 vision_step(state, word, clock.now_ns())

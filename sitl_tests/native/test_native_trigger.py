@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.trigger.blur import BlurForecast, _blind, _eyes, streaks
+from companion.core.trigger.blur import BlurForecast, _image_motion_maps, _without_cameras, streaks
 from companion.core.trigger.instants import still_instants
 from companion.params.files import load_airframe
 from companion.records import Floats
@@ -19,14 +19,14 @@ def _spread(rng: np.random.Generator, n: int, size: float) -> Floats:
     return root @ root.swapaxes(1, 2)
 
 
-def _forecast(rng: np.random.Generator, n: int, eyes: object) -> BlurForecast:
+def _forecast(rng: np.random.Generator, n: int, maps: object) -> BlurForecast:
     t_s = 1e-9 * STEP_NS * np.arange(n)
     rates = np.stack([np.sin(rng.uniform(20, 60) * t_s + rng.uniform(0, 6)) for _ in range(2)], axis=1)
     covariance, nearness = _spread(rng, n, 0.01), float(rng.choice([0.0, 0.02]))
     timing = (1e5 * rng.standard_normal(2), np.abs(1e5 * rng.standard_normal(2)))
     rest = (rng.standard_normal(3), 20.0 * rng.standard_normal(3), nearness)
     arguments = (rates, covariance, 1e-9 * STEP_NS, *timing, *rest)
-    got, expected = streaks(eyes, *arguments), plain.streak_px(eyes, *arguments)
+    got, expected = streaks(maps, *arguments), plain.streak_px(maps, *arguments)
     for name, actual, desired in zip(got._fields, got, expected, strict=True):
         np.testing.assert_allclose(actual, desired, rtol=1e-10, atol=1e-12 * np.abs(desired).max(), err_msg=name)
     image, per_rate, acceleration, rms = got
@@ -37,15 +37,15 @@ def _forecast(rng: np.random.Generator, n: int, eyes: object) -> BlurForecast:
 
 @pytest.mark.parametrize("cameras", ["none", "nadir-2m", "forward-2m"])
 def test_blur_and_its_minima_are_those_of_numpy(cameras: str) -> None:
-    eyes, instant_count = _blind(), 0
+    maps, instant_count = _without_cameras(), 0
     if cameras != "none":
         airframe = load_airframe(cameras)
         assert airframe.left_camera is not None
         assert airframe.right_camera is not None
-        eyes = _eyes(airframe, (airframe.left_camera, airframe.right_camera))
+        maps = _image_motion_maps(airframe, (airframe.left_camera, airframe.right_camera))
     for seed in range(25):
         rng = np.random.default_rng(seed)
-        blur = _forecast(rng, int(rng.integers(2, 150)), eyes)
+        blur = _forecast(rng, int(rng.integers(2, 150)), maps)
         from_ns = int(blur.t_host_ns[0]) + int(rng.integers(0, 50)) * STEP_NS
         expected = plain.minima(
             blur.t_host_ns, from_ns, blur.motion, blur.motion_per_rate, blur.acceleration_radps2,

@@ -64,7 +64,7 @@ def test_a_spring_that_yields_bit_by_bit_is_fitted_on_the_higher_of_its_hills(mo
     null = flights.null()
     (candidate,) = flights.screen(null, lambda _what, _ratio: None).candidates
     refits = [flights.refit(null, candidate)]
-    monkeypatch.setattr(kind, "hilly", False)
+    monkeypatch.setattr(kind, "multimodal", False)
     refits.append(flights.refit(null, candidate))
     everywhere, from_one = (entry[1] for entry in refits if entry is not None)
     assert 0.002 < everywhere.terms[0].values[1] < 0.005

@@ -24,9 +24,9 @@ SECOND = 1_000_000_000
 def ticked(pace: TickPace, apart_ms: int, from_ms: int, for_ms: int) -> list[tuple[int, Overload]]:
     said = []
     for at_ms in range(from_ms, from_ms + for_ms, apart_ms):
-        strain = pace.ticked(at_ms * MS)
-        if strain is not None:
-            said.append((at_ms, strain))
+        overload = pace.ticked(at_ms * MS)
+        if overload is not None:
+            said.append((at_ms, overload))
     return said
 
 
@@ -39,10 +39,10 @@ def test_ticks_on_time_or_a_single_stall_are_nothing_to_speak_of() -> None:
 def test_a_loop_that_turns_at_a_third_of_its_rate_is_told_once_and_told_again_when_it_keeps_up() -> None:
     pace = TickPace()
     ticked(pace, 10, 0, 4_000)
-    ((at_ms, strain),) = ticked(pace, 30, 4_000, 20_000)
+    ((at_ms, overload),) = ticked(pace, 30, 4_000, 20_000)
     assert at_ms - 4_000 < 7_000
-    assert "cannot keep up" in strain.sentence
-    assert "every 30 ms" in strain.sentence
+    assert "cannot keep up" in overload.sentence
+    assert "every 30 ms" in overload.sentence
     assert ticked(pace, 18, 24_000, 10_000) == [], "better, but not clear of the limit"
     ((_, again),) = ticked(pace, 10, 34_000, 10_000)
     assert again.text == ""
@@ -56,7 +56,7 @@ def overloads(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s:
         now_ms += max(spent_ms, apart_ms)
         pace.worked(spent_ms * MS, 1, 2 * lost, 700 * MS)
         said.append(pace.looked(round(now_ms * MS)))
-    return [strain for strain in said if strain is not None]
+    return [overload for overload in said if overload is not None]
 
 
 def test_vision_that_has_time_to_spare_says_nothing_though_a_camera_loses_images() -> None:
@@ -73,10 +73,10 @@ def test_vision_that_is_at_work_all_the_time_tells_what_it_would_need() -> None:
         now_ms += 200
         pace.worked(200 * MS, 1, (0, 2, 0, 2, 2)[k % 5], 900 * MS)
         said.append(pace.looked(now_ms * MS))
-    (strain,) = [strain for strain in said if strain is not None]
-    assert "vision needs 1.6 s a second" in strain.text
-    assert "images wait 0.9 s" in strain.text
-    assert "6 of 16 shots skipped" in strain.text
+    (overload,) = [overload for overload in said if overload is not None]
+    assert "vision needs 1.6 s a second" in overload.text
+    assert "images wait 0.9 s" in overload.text
+    assert "6 of 16 shots skipped" in overload.text
     ((again),) = overloads(pace, 70, 125, 0, 23.0, 8.0)
     assert again.text == ""
 
@@ -111,9 +111,9 @@ def test_the_vision_process_sends_the_strain_to_the_inertial_one(monkeypatch: py
     monkeypatch.setattr(vision, "vision_step", slow)
     state = VisionState.create(load_airframe("nadir-2m"), Settings())
     vision.run(state, cameras, clock, sent.append, None, cameras)  # type: ignore[arg-type]
-    (strain,) = sent
-    assert isinstance(strain, Overload)
-    assert strain.who == "vision"
+    (overload,) = sent
+    assert isinstance(overload, Overload)
+    assert overload.who == "vision"
 
 
 @dataclass

@@ -117,7 +117,7 @@ def test_nothing_is_smoothed_across_the_instant_at_which_constants_begin_anew(fl
     before_ns = tracker.newest_ns - 100_000_000
     for shaken, expected in (((True, False), Deflection), ((False, False), Reject)):
         noise = copy.deepcopy(tracker._row_noise)
-        noise.shaken = shaken
+        noise.vibrating = shaken
         tracker._take(NewParameters(noise, tracker._kalman.model, None, 0))
         assert isinstance(tracker.smooth(before_ns), expected)
     assert isinstance(tracker.smooth(tracker.newest_ns), Deflection)
@@ -151,7 +151,7 @@ def _taught(sends: str, shaken: bool) -> dict[str, float]:
     kalman._filter_state.information[:] = 30.0 * coupled / np.outer(sigma, sigma)
     kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = -1.0 / sigma[1:]
     kalman.reset_bias_parameters([])
-    noise.shaken = (shaken, False)
+    noise.vibrating = (shaken, False)
     kalman.take_noise(noise)
     assert np.linalg.eigvalsh(kalman.bias_parameter_covariance).min() > 0.0
     return {name: estimate for name, (estimate, _) in tracker.bias_parameters().items()}

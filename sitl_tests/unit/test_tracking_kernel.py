@@ -199,7 +199,7 @@ def test_what_a_shaken_tip_cannot_tell_is_estimated_again_when_it_is_still() -> 
     kalman.run(_epochs(kalman, 0.0))
     estimated, wandering = kalman._estimated, kalman._wandering
     still, shaken = RowNoise(kalman.noise), RowNoise(kalman.noise)
-    shaken.shaken = shaken.swaying = (True, False)
+    shaken.vibrating = shaken.strongly_vibrating = (True, False)
     kalman.take_noise(shaken)
     left_out = set(names[estimated]) - set(names[kalman._estimated])
     assert {"left.kz", "left.ky", "left.kp", "left.mx", "trim", "shortening", "slope.symmetric"} <= left_out

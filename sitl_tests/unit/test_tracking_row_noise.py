@@ -72,7 +72,7 @@ def test_noise_of_one_sensor_is_not_anothers() -> None:
     noise = learned(innovation)
     assert noise.ratio[0] == pytest.approx(20.0, rel=0.2)
     assert np.all(noise.ratio[1:] < 1.3)
-    assert noise.shaken == (True, False)
+    assert noise.vibrating == (True, False)
 
 
 @pytest.mark.parametrize(("lateral_mps2", "vertical_mps2"), [(0.3, 0.1), (0.02, 3.0), (0.08, 0.1)])
@@ -84,7 +84,7 @@ def test_a_tip_sways_by_what_its_lateral_or_its_vertical_axis_shows(lateral_mps2
     innovation[:, Y_LEFT] *= lateral_mps2 / np.sqrt(2.0 * variance)
     noise.take_vertical(vertical_mps2**2 / variance, 1.0)
     learned(innovation, variance, noise)
-    assert noise.swaying == (lateral_mps2 > 0.1 or vertical_mps2 > 0.2, vertical_mps2 > 0.2)
+    assert noise.strongly_vibrating == (lateral_mps2 > 0.1 or vertical_mps2 > 0.2, vertical_mps2 > 0.2)
 
 
 def test_the_vertical_rows_are_the_gusts() -> None:
@@ -125,7 +125,7 @@ def _shaken(ratios: list[float]) -> list[bool]:
         if not ratio:
             covariance[:, absent], covariance[:, :, absent], innovation[:, absent] = 0.0, 0.0, 0.0
         noise.learn(innovation, covariance)
-        shaken.append(noise.shaken[0])
+        shaken.append(noise.vibrating[0])
     return shaken
 
 

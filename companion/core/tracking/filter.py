@@ -30,7 +30,7 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-_TAUGHT_FALSELY = ("shortening", "trim")  # by a shaken tip, whose vertical vibration its lateral axis shares
+_TAUGHT_FALSELY = ("shortening", "trim")  # by a vibrating tip, whose lateral axis shares its vertical vibration
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
 # load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05
@@ -74,7 +74,7 @@ class SeparatedBiasFilter:
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
-        self._considered_now: list[str] = []  # as long as tips are shaken or mute
+        self._considered_now: list[str] = []  # as long as tips vibrate or send no lateral axis
         self._set_considered(np.arange(0, dtype=np.int64))
         self._consider(_CONSIDERED)
         if self._bend_is_calibrated():
@@ -133,20 +133,20 @@ class SeparatedBiasFilter:
         self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
         self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
-    def _consider_scales(self, shaken: tuple[bool, bool], swaying: tuple[bool, bool]) -> bool:
-        """Consider what shaken and mute tips cannot tell, and estimate what tips that are still again can; whether any.
+    def _consider_scales(self, vibrating: tuple[bool, bool], strongly: tuple[bool, bool]) -> bool:
+        """Consider what vibrating and vertical-only tips cannot tell, estimate what still ones can again; whether any.
 
         Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
         contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
         shortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
-        lateral bias differ by the vertical force alone, with which a swaying tip's lateral vibration goes.
+        lateral bias differ by the vertical force alone, with which a strongly vibrating tip's lateral motion goes.
         """
-        tips = zip(("left", "right"), shaken, self.layout.mute_tips, strict=True)
-        places = [place for place, loud, mute in tips if loud or mute]
+        tips = zip(("left", "right"), vibrating, self.layout.vertical_only_tips, strict=True)
+        places = [place for place, vibrates, vertical_only in tips if vibrates or vertical_only]
         names = [f"{place}.{scale}" for place in places for scale in _SCALES]
         names += self._slopes() if places else []
-        names += _TAUGHT_FALSELY if any(shaken) else []
-        names += [f"{place}.mx" for place, wide in zip(("left", "right"), swaying, strict=True) if wide]
+        names += _TAUGHT_FALSELY if any(vibrating) else []
+        names += [f"{place}.mx" for place, strong in zip(("left", "right"), strongly, strict=True) if strong]
         names = [name for name in names if name in self.layout.bias_parameters]
         again = [name for name in self._considered_now if name not in names]
         if again:
@@ -290,7 +290,7 @@ class SeparatedBiasFilter:
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
-        again = self._consider_scales(noise.shaken, noise.swaying)
+        again = self._consider_scales(noise.vibrating, noise.strongly_vibrating)
         self._solve_bias_parameters()
         return again
 

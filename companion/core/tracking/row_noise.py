@@ -38,12 +38,12 @@ _MEMORY = 0.6  # chosen, of the difference, a second: two fifths of it remain
 _FALLEN = 0.25
 _FALLEN_MEMORY = 0.9  # chosen, for such a fall
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
-_SHAKEN_RATIO = 1.5  # chosen: 1.01 at most by sensors as believed, 4 to 40 by broadband vibration (bench world)
+_VIBRATING_RATIO = 1.5  # chosen: 1.01 at most by sensors as believed, 4 to 40 by broadband vibration (bench world)
 _STILL_RATIO = 1.2  # chosen: below the other one, for a sensor between both stays what it is taken for
 # chosen, m/s^2 rms an epoch, lateral and vertical: 0.02 to 0.1 and up to 0.15 behind electric motors, their lines taken
 # out, 0.1 to 0.4 or 0.25 to 20 behind petrol engines (bench world); the lateral part falls as misalignment takes it up
-_SWAYING_MPS2 = (0.1, 0.2)
-_SETTLED_RATIO = 0.5  # chosen, of these: as for _STILL_RATIO
+_STRONG_MPS2 = (0.1, 0.2)
+_STRONG_END_RATIO = 0.5  # chosen, of these: as for _STILL_RATIO
 _LEARNED = range(Y_LEFT, ROWS)  # rows
 
 _terms = kernel("noise_terms", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
@@ -60,9 +60,9 @@ class RowNoise:
         As ``SensorNoise.root_y_variance``.
     root_z_variance : float
         As ``SensorNoise.root_z_variance``.
-    shaken : (bool, bool)
+    vibrating : (bool, bool)
         Whether the left and the right tip show more noise than their sensors have, as vibration does.
-    swaying : (bool, bool)
+    strongly_vibrating : (bool, bool)
         Whether they vibrate so much across that it passes for a misalignment about x, which turns the vertical force.
     """
 
@@ -73,9 +73,9 @@ class RowNoise:
         self._believed_vertical = believed.sensor_variance[:Y_LEFT].copy(), believed.root_z_variance
         self._columns = _columns()
         self._believed = self._all()
-        self.shaken = self.swaying = (False, False)
-        self._loud: Bools = np.zeros(2, np.bool_)  # as the last look has it
-        self._wide: Bools = np.zeros(2, np.bool_)  # so is this
+        self.vibrating = self.strongly_vibrating = (False, False)
+        self._vibrated: Bools = np.zeros(2, np.bool_)  # as the last look has it
+        self._strong: Bools = np.zeros(2, np.bool_)  # so is this
         self._beyond = np.zeros(len(self._believed))  # C_0 - C_1 over v, less one, of the last look
 
     def _all(self) -> Floats:
@@ -92,18 +92,18 @@ class RowNoise:
         shown = np.zeros(len(present))
         shown[present] = ratio
         largest = shown[: P_ROOT - Y_LEFT].reshape(2, 2).max(axis=0)
-        loud = (largest > _SHAKEN_RATIO) | (np.array(self.shaken) & (largest > _STILL_RATIO))
-        steady = (loud == self._loud) & (largest > 0.0)
-        left, right = np.where(steady, loud, self.shaken).tolist()
-        self.shaken, self._loud = (left, right), np.where(largest > 0.0, loud, self._loud)
+        vibrates = (largest > _VIBRATING_RATIO) | (np.array(self.vibrating) & (largest > _STILL_RATIO))
+        steady = (vibrates == self._vibrated) & (largest > 0.0)
+        left, right = np.where(steady, vibrates, self.vibrating).tolist()
+        self.vibrating, self._vibrated = (left, right), np.where(largest > 0.0, vibrates, self._vibrated)
 
-    def _compare_sway(self) -> None:
+    def _compare_strength(self) -> None:
         """Compare the tips' noise with what would pass for misalignment about x, by two looks too."""
         lateral_mps2, vertical_mps2 = np.sqrt(self.variance[Y_LEFT:P_LEFT]), np.sqrt(self.variance[:M_LEFT])
-        ratio = np.maximum(lateral_mps2 / _SWAYING_MPS2[0], vertical_mps2 / _SWAYING_MPS2[1])
-        wide = (ratio > 1.0) | (np.array(self.swaying) & (ratio > _SETTLED_RATIO))
-        left, right = np.where(wide == self._wide, wide, self.swaying).tolist()
-        self.swaying, self._wide = (left, right), wide
+        ratio = np.maximum(lateral_mps2 / _STRONG_MPS2[0], vertical_mps2 / _STRONG_MPS2[1])
+        strong = (ratio > 1.0) | (np.array(self.strongly_vibrating) & (ratio > _STRONG_END_RATIO))
+        left, right = np.where(strong == self._strong, strong, self.strongly_vibrating).tolist()
+        self.strongly_vibrating, self._strong = (left, right), strong
 
     def take_vertical(self, tips: float, root: float) -> None:
         """Take the vertical axes' noise as the spectral fit has it, as ratios of variance to the believed one."""
@@ -164,7 +164,7 @@ class RowNoise:
         memory = np.where(fallen, _FALLEN_MEMORY, _MEMORY)
         learned[present] = np.clip(now + memory * (target - now), believed, _MAX_RATIO * believed)
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
-        self._compare_sway()
+        self._compare_strength()
 
 
 def noise_terms(innovation: Floats, covariance: Floats, steps: Ints, rows: Ints, columns: Floats) -> Floats | None:

@@ -148,7 +148,7 @@ class StateLayout:
         return terms
 
     @property
-    def mute_tips(self) -> tuple[bool, bool]:
+    def vertical_only_tips(self) -> tuple[bool, bool]:
         """Whether the left and right tip send neither lateral axis nor roll rate, which would show vibration."""
         rows = {row for row, _ in self.row_bias_states}
         left, right = (rows.isdisjoint((lateral, lateral + P_LEFT - Y_LEFT)) for lateral in (Y_LEFT, Y_RIGHT))

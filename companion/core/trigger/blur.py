@@ -77,7 +77,9 @@ class BlurModel:
     def __init__(self, airframe: Airframe) -> None:
         self._spring = _spring(airframe)
         left, right = airframe.left_camera, airframe.right_camera
-        self._eyes = _blind() if left is None or right is None else _eyes(airframe, (left, right))
+        self._maps = (
+            _without_cameras() if left is None or right is None else _image_motion_maps(airframe, (left, right))
+        )
 
     def predict(self, forecast: Forecast, latency: LatencyModel, motion: GroundMotion) -> BlurForecast:
         """Predict the blur at every instant of the forecast."""
@@ -85,7 +87,7 @@ class BlurModel:
         nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
         rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
         image, per_rate, acceleration, rms = streaks(
-            self._eyes,
+            self._maps,
             rates,
             covariance,
             step_s,
@@ -107,7 +109,7 @@ class BlurModel:
         )
 
 
-class _Eyes(NamedTuple):
+class _ImageMotionMaps(NamedTuple):
     """Image motion of both cameras, (2, 3) of one exposure in px, as linear maps.
 
     ``by_rate`` of the body rate; ``by_velocity`` of the velocity and ``by_lever`` of the body rate through the camera's
@@ -123,14 +125,14 @@ class _Eyes(NamedTuple):
     px: float
 
 
-def _blind() -> _Eyes:
+def _without_cameras() -> _ImageMotionMaps:
     """Stand-in for no cameras."""
     slope = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     still = np.zeros((2, 3, 3))
-    return _Eyes(still, still, still, slope, np.zeros((2, 3)), np.zeros(2), px=0.0)
+    return _ImageMotionMaps(still, still, still, slope, np.zeros((2, 3)), np.zeros(2), px=0.0)
 
 
-def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
+def _image_motion_maps(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _ImageMotionMaps:
     rig, bend = Rig.from_airframe(airframe), airframe.wing.symmetric
     factor = bend.slope_factor_radpm.value
     turns, shifts, levers, slopes, lifts = [], [], [], [], []
@@ -146,7 +148,7 @@ def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
         lifts.append(shifts[-1] @ np.array([0.0, 0.0, -camera.lift_gain / factor]))
     exposure_s = np.array([camera.exposure_s for camera in cameras])
     by_rate, by_velocity, by_lever = np.array(turns), np.array(shifts), np.array(levers)
-    return _Eyes(by_rate, by_velocity, by_lever, np.array(slopes), np.array(lifts), exposure_s, px=1.0)
+    return _ImageMotionMaps(by_rate, by_velocity, by_lever, np.array(slopes), np.array(lifts), exposure_s, px=1.0)
 
 
 def _spring(airframe: Airframe) -> Floats:
@@ -166,12 +168,12 @@ class Streaks(NamedTuple):
     rms: Floats
 
 
-_pack_eyes, _pack_streaks = packed(_Eyes), packed(Streaks)
+_pack_maps, _pack_streaks = packed(_ImageMotionMaps), packed(Streaks)
 _streaks = kernel("trigger_streaks", RECORD, ARRAY, ARRAY, REAL, ARRAY, ARRAY, ARRAY, ARRAY, REAL, RECORD)
 
 
 def streaks(
-    eyes: _Eyes,
+    maps: _ImageMotionMaps,
     rates: Floats,
     covariance: Floats,
     step_s: float,
@@ -190,6 +192,6 @@ def streaks(
     out = Streaks(np.empty((n, 2, 3)), np.empty((2, 3)), np.empty((n, 2)), np.empty((n, 2)))
     timing = (step_s, shifts_ns, sigmas_ns)
     _streaks(
-        _pack_eyes(eyes), rates, covariance, *timing, body_rate_radps, velocity_mps, nearness, _pack_streaks(out)
+        _pack_maps(maps), rates, covariance, *timing, body_rate_radps, velocity_mps, nearness, _pack_streaks(out)
     )  # fmt: skip
     return out

@@ -155,7 +155,7 @@ class Effect:
     frequency). A first parameter cannot be one: those before the first of them are what is screened."""
     follows_channel: ClassVar[bool] = False
     """Whether it needs a recorded channel."""
-    hilly: ClassVar[bool] = False
+    multimodal: ClassVar[bool] = False
     """Whether a fit may end on a lesser hill, so that it is begun at every place of ``scan``."""
     one_way: ClassVar[bool] = False
     """Whether nature has it with a positive first parameter only (friction is never negative)."""

@@ -85,7 +85,7 @@ class Flights(Recordings[EffectTerm, FlightState]):
     def refit(
         self, fitted: FlightFit, candidate: Candidate[EffectTerm]
     ) -> tuple[Candidate[EffectTerm], FlightFit] | None:
-        """Refit with one effect more; from each place of a hilly one, if the best by its score is worth anything."""
+        """Refit with one effect more; from each mode of a multimodal one, if its best is worth anything."""
         trial = best_trial(self._models, fitted, candidate.term)
         offered = candidate if trial is None else dataclasses.replace(candidate, term=trial.term)
         first = (offered.term,) if is_trial(offered.term) else ()
@@ -96,7 +96,7 @@ class Flights(Recordings[EffectTerm, FlightState]):
         if reached.log_evidence < fitted.log_evidence - _NEAR:
             # the model that it extends is a case of it: nuisances that stood for the effect are still on their way back
             reached = fit(self._models, reached.terms, reached, _QUICK)
-        if type(offered.term.effect).hilly and reached.log_evidence > fitted.log_evidence:
+        if type(offered.term.effect).multimodal and reached.log_evidence > fitted.log_evidence:
             other = self._on_other_hill(fitted, reached)
             reached = max(reached, other or reached, key=lambda entry: entry.log_evidence)
         return offered, reached

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.trigger.blur import _Eyes
+from companion.core.trigger.blur import _ImageMotionMaps
 from companion.records import Floats, Ints
 
 _WORST_SIGMA_NS = 1e9
 
 
 def streak_px(
-    eyes: _Eyes,
+    maps: _ImageMotionMaps,
     rates: Floats,
     covariance: Floats,
     step_s: float,
@@ -22,19 +22,19 @@ def streak_px(
     nearness: float,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Image motion, what a slope rate adds to it, slope accelerations and expected rms blur over the instants."""
-    acceleration, per_rate = _derivative(rates, step_s), eyes.by_slope + nearness * eyes.by_lift
+    acceleration, per_rate = _derivative(rates, step_s), maps.by_slope + nearness * maps.by_lift
     image, rms = np.empty((len(rates), 2, 3)), np.empty((len(rates), 2))
     for side in range(2):
-        rigid = eyes.by_rate[side] @ body_rate_radps
-        rigid += nearness * (eyes.by_velocity[side] @ velocity_mps + eyes.by_lever[side] @ body_rate_radps)
-        timing = (sigmas_ns[side] * 1e-9) ** 2 + eyes.exposure_s[side] ** 2 / 12.0
+        rigid = maps.by_rate[side] @ body_rate_radps
+        rigid += nearness * (maps.by_velocity[side] @ velocity_mps + maps.by_lever[side] @ body_rate_radps)
+        timing = (sigmas_ns[side] * 1e-9) ** 2 + maps.exposure_s[side] ** 2 / 12.0
         rate = rates[:, side] + acceleration[:, side] * (shifts_ns[side] * 1e-9)
         square = (covariance[:, side, side] + acceleration[:, side] ** 2 * timing) * np.sum(per_rate[side] ** 2)
         for axis in range(3):
             moved = rigid[axis] + per_rate[side, axis] * rate
             image[:, side, axis] = moved
             square += moved**2
-        rms[:, side] = eyes.px * np.sqrt(square)
+        rms[:, side] = maps.px * np.sqrt(square)
     return image, per_rate, acceleration, rms
 
 

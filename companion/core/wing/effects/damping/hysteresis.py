@@ -27,7 +27,7 @@ class Hysteresis(Effect):
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "load and unload the tip slowly by hand: force against deflection makes a loop"
     scan: ClassVar = MappingProxyType({"yield_m": (0.001, 0.0025, 0.006)})
-    hilly: ClassVar[bool] = True
+    multimodal: ClassVar[bool] = True
     own_law: ClassVar[str] = "springs that slip"
 
     share: float = parameter("", 0.1, "share of the stiffness that slips")
