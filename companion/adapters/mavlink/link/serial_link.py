@@ -39,6 +39,8 @@ class SerialTransport:
         if self._port is None:
             return b""
         self._flush()
+        if self._port is None:  # the device went while what had waited was written
+            return b""
         try:
             data = os.read(self._port.fileno(), limit)
         except BlockingIOError:
