@@ -118,7 +118,7 @@ def test_a_downward_range_is_moved_on_to_the_instant_of_sending() -> None:
     """42 m at the exposure, 0.6 s of sinking at 2 m/s: 40.8 m now, stamped now; 0.18 m of sigma by the climb rate."""
     outputs = RangePublisher(Settings(), 25)
     for k in range(10):
-        outputs.climbs(state(1000 * MS + 100 * k * MS, -2.0))
+        outputs.flown(state(1000 * MS + 100 * k * MS, -2.0))
     (message,) = outputs.messages(measured(1100 * MS), 50 * MS, 1700 * MS)
     assert sent(message).current_distance == 4080
     assert sent(message).time_boot_ms == 1750
@@ -128,19 +128,55 @@ def test_a_downward_range_is_moved_on_to_the_instant_of_sending() -> None:
 def test_the_climb_since_the_exposure_counts_not_that_before() -> None:
     outputs = RangePublisher(Settings(), 25)
     for k in range(10):
-        outputs.climbs(state(100 * k * MS, -5.0))
+        outputs.flown(state(100 * k * MS, -5.0))
     for k in range(10, 15):
-        outputs.climbs(state(100 * k * MS, 1.0))
+        outputs.flown(state(100 * k * MS, 1.0))
     (message,) = outputs.messages(measured(1000 * MS), 0, 1500 * MS)
     assert sent(message).current_distance == 4250
 
 
-@pytest.mark.parametrize(("orientation", "climb_at_ms", "now_ms"), [(0, 1200, 1500), (25, 900, 1500), (25, 1200, 4000)])
+@pytest.mark.parametrize(("orientation", "climb_at_ms", "now_ms"), [(6, 1200, 1500), (25, 900, 1500), (25, 1200, 4000)])
 def test_a_range_stays_where_nothing_tells_how_it_changed(orientation: int, climb_at_ms: int, now_ms: int) -> None:
-    """A pair that looks ahead, no climb rate since the exposure, an exposure too long ago."""
+    """A pair that looks aside, no climb rate since the exposure, an exposure too long ago."""
     outputs = RangePublisher(Settings(), orientation)
-    outputs.climbs(state(climb_at_ms * MS, -2.0))
+    outputs.flown(state(climb_at_ms * MS, -2.0))
     record = dataclasses.replace(measured(1000 * MS), orientation=orientation)
     (message,) = outputs.messages(record, 0, now_ms * MS)
     assert sent(message).current_distance == 4200
     assert sent(message).time_boot_ms == 1000
+
+
+@pytest.mark.parametrize(
+    ("velocity_ned_mps", "metres_cm", "sigma_m"),
+    [(None, 3000, math.hypot(0.1, 1.8)), ((0.0, 24.0, 0.0), 2760, math.hypot(0.1, 0.18))],
+)
+def test_what_lies_ahead_is_moved_on_by_the_speed_towards_it(
+    velocity_ned_mps: tuple[float, float, float] | None, metres_cm: int, sigma_m: float
+) -> None:
+    """42 m at the exposure, 0.6 s at 20 m/s of airspeed or, heading east, 24 over ground."""
+    outputs = RangePublisher(Settings(), 0)
+    for k in range(10):
+        flying = dataclasses.replace(state(1000 * MS + 100 * k * MS, 0.0), yaw_rad=math.pi / 2)
+        outputs.flown(dataclasses.replace(flying, velocity_ned_mps=velocity_ned_mps))
+    record = dataclasses.replace(measured(1100 * MS), orientation=0)
+    (message,) = outputs.messages(record, 0, 1700 * MS)
+    assert sent(message).current_distance == metres_cm
+    assert sent(message).covariance == min(round((100 * sigma_m) ** 2), 255)
+    (circle,) = outputs.messages(obstacle_sectors(1100 * MS, {0: 42.0, 12: 42.0, 18: 42.0, 1: 6.0}), 0, 1700 * MS)
+    distances = dict(zip(np.arange(-4, 68) % 72, sent(circle).distances, strict=True))
+    approached_cm = 4200 - metres_cm
+    assert [distances[k] for k in (0, 12, 18)] == [metres_cm, 4200 - approached_cm // 2, 4200]
+    assert distances[1] == 400, "too near to be measured by now, and still there"
+
+
+def test_sectors_stand_until_nothing_was_known_for_as_long_as_of_a_range() -> None:
+    """Sky on the axis and a tree beside it: pairs bring sectors and no range, in turn with "alive, no range"."""
+    outputs = RangePublisher(Settings(), 0)
+    circles = []
+    for k in range(100):
+        record = obstacle_sectors(k * 100 * MS, {3: 30.0}) if k % 4 < 2 else none(k * 100 * MS, 0)
+        circles += [m for m in outputs.messages(record, 0, k * 100 * MS) if m.get_type() == "OBSTACLE_DISTANCE"]
+    assert circles
+    assert all(3000 in circle.distances for circle in circles)
+    silent = [outputs.messages(none(0, 0), 0, (10_000 + 100 * k) * MS) for k in range(8)]
+    assert any(m.get_type() == "OBSTACLE_DISTANCE" and set(m.distances) == {65535} for sent in silent for m in sent)

@@ -1,8 +1,9 @@
 """Ranges and obstacles as they go out: at most at their rate, never an old number, stamps that advance.
 
 A range is that of an exposure, which the smoother's lag and the matching put half a second and more into the past, and
-the autopilots take DISTANCE_SENSOR for the present, whatever its stamp says. A downward range is therefore moved on to
-the instant of sending by the climb rate that the autopilot has told since: a descent at 2 m/s would else read 1 m long.
+the autopilots take DISTANCE_SENSOR and obstacles for the present, whatever their stamps say. They are moved on to the
+instant of sending by what the autopilot has told since: a downward range by the climb rate (a descent at 2 m/s
+would else read 1 m long), what lies ahead by the speed towards it (at 20 m/s it would read 12 m too far).
 """
 
 from __future__ import annotations
@@ -12,17 +13,21 @@ import math
 from collections import deque
 from typing import Any
 
+import numpy as np
+
 from companion.adapters.mavlink.component import encode
 from companion.params.settings import Settings
 from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, NoRange, ObstacleSectors, VehicleState
 from companion.units import Orientation
 
-_CLIMBS = 32  # some seconds of states at the usual rates (choice)
+_STATES = 32  # some seconds at the usual rates (choice)
 _CIRCLE, _POINTS = 1, 2  # values of the tunable OUT_OBSTACLES' setting ``obstacles`` (convention)
 _RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins anew (choice)
-_CLIMB_SIGMA_MPS = 0.3  # of a told climb rate, and of level ground under an aircraft in flight (choice)
+_SPEED_SIGMA_MPS = 0.3  # of a told climb rate or velocity, and of level ground under an aircraft in flight (choice)
+_WIND_SIGMA_MPS = 3.0  # of the airspeed as speed over ground (choice, as for the flow: core/stereo/README.md)
 _OLDEST_NS = 2_000_000_000  # a range older than this is not moved on (choice)
+_SECTORS_LAST_NS = 400_000_000  # as ranges: what is known of obstacles stands for so long (core/output_scheduler.py)
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
 
 
@@ -36,18 +41,19 @@ class RangePublisher:
         self._settings = settings
         self._forward = orientation == Orientation.FORWARD
         self._looks_down = orientation == Orientation.DOWN
-        self._climbs: deque[tuple[int, float]] = deque(maxlen=_CLIMBS)
+        self._states: deque[VehicleState] = deque(maxlen=_STATES)
         self._limiter = RateLimiter(0.0)
         self._trusted = False
         self._points_ms = 0
+        self._sectors_until_ns = 0
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings from now on."""
         self._settings = settings
 
-    def climbs(self, state: VehicleState) -> None:
-        """Note the climb rate that the autopilot tells."""
-        self._climbs.append((state.received_host_ns, state.climb_mps))
+    def flown(self, state: VehicleState) -> None:
+        """Note how the aircraft moves, as the autopilot tells it."""
+        self._states.append(state)
 
     def messages(
         self, record: CorrectedRange | NoRange | ObstacleSectors, boot_offset_ns: int, now_host_ns: int
@@ -55,7 +61,8 @@ class RangePublisher:
         """Messages of a record; ``boot_offset_ns`` is the autopilot's boot time less host time."""
         limits_m = (self._settings.min_range_m, self._settings.max_range_m)
         if isinstance(record, ObstacleSectors):
-            return self._obstacles(record, boot_offset_ns, now_host_ns)
+            self._sectors_until_ns = now_host_ns + _SECTORS_LAST_NS
+            return self._obstacles(self._sectors_moved_on(record, now_host_ns), boot_offset_ns, now_host_ns)
         if isinstance(record, CorrectedRange):
             record = self._moved_on(record, now_host_ns)
             at_ns = record.t_host_ns
@@ -66,21 +73,42 @@ class RangePublisher:
         trusted = message.signal_quality != encode.NO_RANGE_QUALITY
         changed, self._trusted = trusted != self._trusted, trusted
         messages = [message] if self._due("range", now_host_ns) or changed else []
-        if isinstance(record, NoRange) and self._forward:
+        if isinstance(record, NoRange) and self._forward and now_host_ns >= self._sectors_until_ns:
             nothing = encode.unknown_sectors(record.at_host_ns, *limits_m)
             messages += self._obstacles(nothing, boot_offset_ns, now_host_ns)
         return messages
 
     def _moved_on(self, record: CorrectedRange, now_host_ns: int) -> CorrectedRange:
-        """The range at the instant of sending, by the climb rates since its exposure; as it is where none was told."""
-        age_ns = now_host_ns - record.t_host_ns
-        since = [climb_mps for t_ns, climb_mps in self._climbs if record.t_host_ns <= t_ns <= now_host_ns]
-        if not (self._looks_down and since and 0 < age_ns <= _OLDEST_NS):
+        """The range at the instant of sending; as it is where nothing was told since its exposure."""
+        moved = self._approached(record.t_host_ns, now_host_ns)
+        if moved is None:
             return record
-        age_s = 1e-9 * age_ns
-        range_m = record.range_m + age_s * sum(since) / len(since)
-        sigma_m = math.hypot(record.sigma_m, _CLIMB_SIGMA_MPS * age_s)
+        nearer_m, sigma_m = moved
+        range_m = record.range_m - nearer_m
+        if self._forward and record.range_m >= self._settings.min_range_m:
+            range_m = max(range_m, self._settings.min_range_m)  # what is too near to measure by now is still there
+        sigma_m = math.hypot(record.sigma_m, sigma_m)
         return dataclasses.replace(record, t_host_ns=now_host_ns, range_m=range_m, sigma_m=sigma_m)
+
+    def _sectors_moved_on(self, record: ObstacleSectors, now_host_ns: int) -> ObstacleSectors:
+        """The obstacles at the instant of sending: each by its part of the way that was flown ahead."""
+        moved = self._approached(record.t_host_ns, now_host_ns) if self._forward else None
+        if moved is None:
+            return record
+        ahead = np.cos(2.0 * np.pi * np.arange(len(record.distance_m)) / len(record.distance_m))
+        distance_m = np.maximum(record.distance_m - moved[0] * ahead, np.minimum(record.distance_m, record.min_m))
+        sigma_m = np.hypot(record.sigma_m, moved[1] * ahead)
+        return dataclasses.replace(record, t_host_ns=now_host_ns, distance_m=distance_m, sigma_m=sigma_m)
+
+    def _approached(self, t_host_ns: int, now_host_ns: int) -> tuple[float, float] | None:
+        """How much nearer something that stands still has come since an exposure, and its sigma, m; None: not told."""
+        age_ns = now_host_ns - t_host_ns
+        since = [state for state in self._states if t_host_ns <= state.received_host_ns <= now_host_ns]
+        if not ((self._looks_down or self._forward) and since and 0 < age_ns <= _OLDEST_NS):
+            return None
+        told = [(-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state) for state in since]
+        speed_mps, sigma_mps = np.mean(told, axis=0).tolist()
+        return 1e-9 * age_ns * speed_mps, 1e-9 * age_ns * sigma_mps
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
         form, boot_ns = self._settings.obstacles, record.t_host_ns + boot_offset_ns
@@ -96,3 +124,13 @@ class RangePublisher:
 
     def _due(self, what: str, now_host_ns: int) -> bool:
         return self._limiter.take(now_host_ns, what, _EARLY * 1e9 / self._settings.publish_rate_hz)
+
+
+def _speed_ahead(state: VehicleState) -> tuple[float, float]:
+    """Speed over ground along the nose and its sigma, m/s; the airspeed where no velocity is told."""
+    if state.velocity_ned_mps is None:
+        return state.airspeed_mps, _WIND_SIGMA_MPS
+    level = math.cos(state.pitch_rad)
+    nose = (level * math.cos(state.yaw_rad), level * math.sin(state.yaw_rad), -math.sin(state.pitch_rad))
+    sigma_mps = max(_SPEED_SIGMA_MPS, state.velocity_sigma_mps or 0.0)
+    return sum(a * b for a, b in zip(nose, state.velocity_ned_mps, strict=True)), sigma_mps
