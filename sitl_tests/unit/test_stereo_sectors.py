@@ -138,3 +138,9 @@ def test_in_a_bank_posts_stay_at_their_bearing_and_the_ground_stays_below(roll_d
         by_body = correct(matches, deflection, deflection, rig, airframe, SETTINGS).sectors
         assert by_body is not None
         assert not np.array_equal(by_body.known, levelled.known), "without the attitude the picture is another one"
+
+
+def test_what_is_too_near_to_be_measured_forbids_to_call_its_sector_clear() -> None:
+    sectors = _sectors(np.vstack([_at(0.0, 3.0, count=20), _at(0.0, 900.0)]))
+    assert not sectors.known.any()
+    assert not sectors.clear.any()

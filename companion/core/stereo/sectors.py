@@ -106,6 +106,6 @@ def sectors_of(
         )
     occupied = nearest > 0.0
     far_support = clears(np.bincount(sector[far], minlength=SECTORS))
-    obstructed = np.bincount(sector[in_band & in_range], minlength=SECTORS) > 0
+    obstructed = np.bincount(sector[in_band & (distance <= settings.max_range_m)], minlength=SECTORS) > 0
     clear = far_support & ~occupied & ~obstructed
     return ObstacleSectors(t_host_ns, nearest, sigma_m, occupied, clear, settings.min_range_m, settings.max_range_m)
