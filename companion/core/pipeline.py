@@ -49,6 +49,7 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between (derived)
+_RANGE_LASTS_NS = 2_000_000_000  # as the gate of ranges remembers them (core/stereo/consistency_gate.py)
 # two seconds: a 3 Hz wing of 3 % damping has lost two thirds of what the wheels and the rotation shook it by (derived)
 _LIFT_OFF_NS = 2_000_000_000
 _BY_PIN = "exposures stamped by the autopilot"
@@ -298,7 +299,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     else:
         state.tracker.work()
     if state.scheduling is not None and now_ns >= state.scheduling.next_plan_ns:
-        outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
+        outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state, now_ns), now_ns)
     if state.correction is not None:
         outputs += state.correction.due(state.tracker, now_ns)
     outputs += state.output_scheduler.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
@@ -310,10 +311,13 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     return outputs
 
 
-def _motion(state: PipelineState) -> GroundMotion:
-    """Ground speed smears a downward view by its share of the range; what is unknown counts as still and far."""
+def _motion(state: PipelineState, now_ns: int) -> GroundMotion:
+    """Ground speed smears a downward view by its share of the range; what is unknown counts as still and far.
+
+    So does a range of some time ago: after a go-around one of 10 m would forbid every shot, and with it a newer range.
+    """
     measured = state.correction.last_trusted if state.correction else None
-    if state.vehicle is None or measured is None:
+    if state.vehicle is None or measured is None or now_ns - measured.t_host_ns > _RANGE_LASTS_NS:
         return GroundMotion()
     return GroundMotion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
 

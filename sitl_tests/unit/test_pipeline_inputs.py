@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from companion.core.pipeline import start, step
+from companion.core.pipeline import _motion, start, step
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -315,3 +316,13 @@ def test_the_tracker_starts_again_when_the_autopilot_says_that_it_lifted_off(
     for k in range(5 * 50):
         state, _ = step(state, Tick(HOST_EPOCH_NS + 5 * S + k * 20 * MS))
     assert len(lifted) == 2 * starts, "once more when the wing has stopped ringing from the wheels, and never again"
+
+
+@pytest.mark.parametrize(("age_s", "range_m"), [(0.7, 10.0), (3.0, math.inf)])
+def test_a_low_range_of_some_time_ago_does_not_smear_the_view_of_now(age_s: float, range_m: float) -> None:
+    """After a go-around it would forbid every shot, and so every newer range."""
+    state = start(load_airframe("nadir-2m"), Settings())
+    step(state, VehicleState(0, 0, 0.0, 0.0, 0.0, 20.0, 0.0, 0.5, True))
+    assert state.correction is not None
+    state.correction.last_trusted = CorrectedRange(1, 1, 5 * S, 25, 10.0, 0.1, 0.0, 1e-4, 0.0, 50, True, None)
+    assert _motion(state, 5 * S + round(age_s * S)).range_m == range_m
