@@ -15,7 +15,7 @@ from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.readaptation import NewParameters
 from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
-from companion.params.settings import Settings
+from companion.params.settings import Settings, tunables
 from companion.records import Deflection, ImuBatch, Reject, Station, Tick, Validity
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
@@ -185,3 +185,11 @@ def test_a_further_slope_factor_is_as_uncertain_as_its_frequency_and_the_first_i
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:
     assert WingTracker(load_airframe("nadir-2m"), Settings()).distrust is Reject.NOT_SETTLED
+
+
+@pytest.mark.slow
+def test_the_longest_lag_leaves_room_for_ticks_and_for_both_stamps_of_a_pair(flight: Flight) -> None:
+    longest = next(row for row in tunables() if row.name == "TRK_LAG").maximum
+    tracker = _tracked(flight)
+    due_ns = tracker.newest_ns - round(longest * 1e9)
+    assert isinstance(tracker.smooth(due_ns - 50_000_000), Deflection)

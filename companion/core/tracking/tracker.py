@@ -39,7 +39,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
-_HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
+_HISTORY_S = 1.25  # chosen: longest lag of the smoother, and what ticks and two stamps of a pair are late
 _MOST_S = 1.0  # chosen: of epochs at once, which the history holds; then lines are searched for
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
