@@ -28,11 +28,12 @@ from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import implausible
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station
 
+_PX4S = "IMU_INTEG_RATE"  # all others are ArduPilot's
 NAMES = (
     "INS_ACCEL_FILTER",
     "INS_GYRO_FILTER",
     *(f"INS_{notch}_{what}" for notch in ("HNTCH", "HNTC2") for what in ("ENABLE", "FREQ", "BW", "ATT", "HMNCS")),
-    "IMU_INTEG_RATE",
+    _PX4S,
 )
 """The parameters that matter here; no vehicle has all of them."""
 _LOWPASS = {"INS_ACCEL_FILTER": "lowpass_accel_hz", "INS_GYRO_FILTER": "lowpass_gyro_hz"}
@@ -53,16 +54,26 @@ class VehicleFilters:
     stamp_shift_ns: int = 0
     _refused: set[str] = field(default_factory=set)
     _last: dict[Station, tuple[int, Floats]] = field(default_factory=dict)
+    _believed: dict[str, Sensor] = field(default_factory=dict)  # before any vehicle told anything
+    _of_another: bool = False  # what is applied is another vehicle's
 
     def take(self, name: str, value: float) -> bool:
         """Take note of a parameter; whether it is one that matters, plausible and new."""
         if name not in NAMES or self.values.get(name) == value or implausible(name, value) is not None:
             return False
+        self._forget_other_firmware(name)
         self.values[name] = value
         self.gyro_delay_s = sum(self._notch_delay_s(notch) for notch in ("HNTCH", "HNTC2"))
-        rate_hz = self.values.get("IMU_INTEG_RATE", 0.0)
+        rate_hz = self.values.get(_PX4S, 0.0)
         self.stamp_shift_ns = -round(0.5e9 / rate_hz) if rate_hz > 0 else 0
         return True
+
+    def _forget_other_firmware(self, name: str) -> None:
+        """Forget what an autopilot of the other kind told, in whose place this one is."""
+        if any((told == _PX4S) != (name == _PX4S) for told in self.values):
+            self.values.clear()
+            self._last.clear()
+            self._of_another = True
 
     def note_refusal(self, name: str, why: str | None) -> bool:
         """Take note of why a value is not believed (None: it is); whether that is news since its last good value."""
@@ -79,15 +90,19 @@ class VehicleFilters:
         PX4 has none before what it sends, and sends no faster than it integrates.
         """
         low: dict[str, Any] = {_LOWPASS[name]: value for name, value in self.values.items() if name in _LOWPASS}
-        most_hz = self.values.get("IMU_INTEG_RATE", 0.0)
+        most_hz = self.values.get(_PX4S, 0.0)
         if most_hz > 0:
             low = dict.fromkeys(_LOWPASS.values(), 0.0)
         sensors: dict[str, Any] = {}
         for name in _STATIONS:
             sensor: Sensor = getattr(airframe, name)
+            believed = self._believed.setdefault(name, sensor)
+            if self._of_another:
+                sensor = believed
             if sensor.source.clock is ClockName.BOOT:
                 rate_hz = min(sensor.rate_hz, most_hz) if most_hz > 0 else sensor.rate_hz
                 sensors[name] = dataclasses.replace(sensor, rate_hz=rate_hz, **low)
+        self._of_another = False
         return dataclasses.replace(airframe, **sensors)
 
     def undone(self, batch: ImuBatch) -> ImuBatch:

@@ -176,3 +176,14 @@ def test_whole_numbers_are_read_as_each_autopilot_writes_them(autopilot: int, en
     data += mavlink.MAVLink_param_value_message(b"IMU_INTEG_RATE", encoded, kind, 9, 1).pack(packer)
     records = Decoder(load_airframe("nadir-2m"), 191).decode_chunk(RawChunk(0, 5, data))
     assert [record.value for record in records if isinstance(record, AutopilotParameter)] == [200.0]
+
+
+def test_what_a_px4_told_is_forgotten_with_it_when_an_ardupilot_takes_its_place() -> None:
+    filters, believed = VehicleFilters(), load_airframe("nadir-2m")
+    filters.take("IMU_INTEG_RATE", 200.0)
+    assert filters.applied(believed).root.rate_hz == 200.0
+    filters.take("INS_ACCEL_FILTER", 30.0)
+    root = filters.applied(filters.applied(believed)).root
+    assert (root.rate_hz, root.lowpass_accel_hz) == (believed.root.rate_hz, 30.0)
+    assert root.lowpass_gyro_hz == believed.root.lowpass_gyro_hz
+    assert filters.stamp_shift_ns == 0

@@ -253,3 +253,11 @@ def test_silence_is_no_slow_rate() -> None:
         keeper.verify({}, second * S)
         texts += [notice.text for notice in keeper.notices()]
     assert not [text for text in texts if "mode needs" in text]
+
+
+def test_an_ardupilot_in_the_place_of_a_px4_is_advised_by_its_own_parameter() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(50)
+    keeper.integration_rate(200.0)
+    keeper.loop_rate(50)
+    _, texts = fly(keeper, vehicle, 0, 5)
+    assert texts == ["RAW_IMU at 333 Hz denied: set SCHED_LOOP_RATE 400, reboot"]

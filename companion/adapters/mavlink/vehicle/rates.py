@@ -96,12 +96,12 @@ class RateKeeper:
             entry.ask_at_host_ns, entry.pause_ns = now_host_ns, _SECOND_NS
 
     def loop_rate(self, rate_hz: float) -> None:
-        """Take note of SCHED_LOOP_RATE."""
-        self._loop_rate_hz = rate_hz
+        """Take note of SCHED_LOOP_RATE: the autopilot is ArduPilot."""
+        self._loop_rate_hz, self._integration_rate_hz = rate_hz, None
 
     def integration_rate(self, rate_hz: float) -> None:
         """Take note of IMU_INTEG_RATE: the autopilot is PX4, and asking for more inertial messages brings none."""
-        self._integration_rate_hz = rate_hz
+        self._loop_rate_hz, self._integration_rate_hz = None, rate_hz
 
     def mode(self, frequency_hz: float) -> None:
         """Take note of the fastest mode that is tracked: inertial messages must be fast enough for it."""
