@@ -13,6 +13,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
+_RETIRED = ("RNG_ORIENT",)  # of earlier versions, without effect: the airframe says where its cameras look
 _MAVLINK_NAME_LENGTH = 16  # characters of PARAM_VALUE.param_id (by definition)
 
 
@@ -144,9 +145,6 @@ class Settings:
     trigger_blur_px: float = _tunable("TRG_BLUR", "px", 0.05, 10, 3.0, "Skip a shot with more predicted blur than this")
 
     # ranging
-    orientation: int = _tunable(
-        "RNG_ORIENT", "", 0, 41, 25, "Orientation of DISTANCE_SENSOR (25 down, 0 forward)", live=False
-    )
     min_range_m: float = _tunable("RNG_MIN", "m", 0.5, 100, 4, "Shortest range that is published")
     max_range_m: float = _tunable("RNG_MAX", "m", 5, 500, 200, "Longest range that is published")
     trust_ratio: float = _tunable("RNG_TRUST", "", 0.005, 0.2, 0.03, "Largest sigma/range that is trusted")
@@ -182,7 +180,9 @@ class Settings:
     )
 
     # outputs
-    publish_rate_hz: float = _tunable("OUT_RATE", "Hz", 2, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE")
+    publish_rate_hz: float = _tunable(
+        "OUT_RATE", "Hz", 4, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE", flown=(2, 50)
+    )
     obstacles: int = _tunable(
         "OUT_OBSTACLES",
         "",
@@ -211,6 +211,8 @@ class Settings:
                     raise ConfigError(problem)
                 change: dict[str, Any] = {row.attribute: int(value) if row.integer else float(value)}
                 return dataclasses.replace(self, **change)
+        if flown and name in _RETIRED:
+            return self
         raise ConfigError(f"no parameter '{name}'")
 
     def with_values(self, values: Mapping[str, float], *, flown: bool = False) -> Settings:

@@ -76,3 +76,9 @@ def test_a_damaged_change_is_refused_in_a_sentence(name: str, value: float) -> N
     assert refused.reason is Reject.INCONSISTENT
     assert isinstance(notice, Notice)
     assert name in notice.text
+
+
+def test_a_setting_that_is_no_more_is_passed_over_in_recordings_alone() -> None:
+    assert Settings().replace("RNG_ORIENT", 0.0, flown=True) == Settings()
+    with pytest.raises(ConfigError, match="no parameter 'RNG_ORIENT'"):
+        Settings().replace("RNG_ORIENT", 0.0)

@@ -32,7 +32,7 @@ LARGEST_SIGMA_S = 0.0025
 """A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees (choice)."""
 # chosen: a lag of 12 s of motion changes little in 2 s; until the first, one is looked for more often
 _EVERY_S, _COARSE_S = 2.0, 0.5
-# a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on (choice)
+# a Hann window so long passes a seventh at 1.9 Hz and a thirtieth from 2.5 Hz on (choice)
 _WINDOW_S, _SMOOTH_S = 12.0, 0.8
 # chosen: twice the two above, for what the wing itself moves grows with the square of the frequency
 _HEAVE_WINDOW_S, _HEAVE_SMOOTH_S = 24.0, 1.6
