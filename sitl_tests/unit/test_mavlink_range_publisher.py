@@ -118,7 +118,7 @@ def test_a_downward_range_is_moved_on_to_the_instant_of_sending() -> None:
     """42 m at the exposure, 0.6 s of sinking at 2 m/s: 40.8 m now, stamped now; 0.18 m of sigma by the climb rate."""
     outputs = RangePublisher(Settings(), 25)
     for k in range(10):
-        outputs.flown(state(1000 * MS + 100 * k * MS, -2.0))
+        outputs.note_motion(state(1000 * MS + 100 * k * MS, -2.0))
     (message,) = outputs.messages(measured(1100 * MS), 50 * MS, 1700 * MS)
     assert sent(message).current_distance == 4080
     assert sent(message).time_boot_ms == 1750
@@ -128,9 +128,9 @@ def test_a_downward_range_is_moved_on_to_the_instant_of_sending() -> None:
 def test_the_climb_since_the_exposure_counts_not_that_before() -> None:
     outputs = RangePublisher(Settings(), 25)
     for k in range(10):
-        outputs.flown(state(100 * k * MS, -5.0))
+        outputs.note_motion(state(100 * k * MS, -5.0))
     for k in range(10, 15):
-        outputs.flown(state(100 * k * MS, 1.0))
+        outputs.note_motion(state(100 * k * MS, 1.0))
     (message,) = outputs.messages(measured(1000 * MS), 0, 1500 * MS)
     assert sent(message).current_distance == 4250
 
@@ -139,7 +139,7 @@ def test_the_climb_since_the_exposure_counts_not_that_before() -> None:
 def test_a_range_stays_where_nothing_tells_how_it_changed(orientation: int, climb_at_ms: int, now_ms: int) -> None:
     """A pair that looks aside, no climb rate since the exposure, an exposure too long ago."""
     outputs = RangePublisher(Settings(), orientation)
-    outputs.flown(state(climb_at_ms * MS, -2.0))
+    outputs.note_motion(state(climb_at_ms * MS, -2.0))
     record = dataclasses.replace(measured(1000 * MS), orientation=orientation)
     (message,) = outputs.messages(record, 0, now_ms * MS)
     assert sent(message).current_distance == 4200
@@ -157,7 +157,7 @@ def test_what_lies_ahead_is_moved_on_by_the_speed_towards_it(
     outputs = RangePublisher(Settings(), 0)
     for k in range(10):
         flying = dataclasses.replace(state(1000 * MS + 100 * k * MS, 0.0), yaw_rad=math.pi / 2)
-        outputs.flown(dataclasses.replace(flying, velocity_ned_mps=velocity_ned_mps))
+        outputs.note_motion(dataclasses.replace(flying, velocity_ned_mps=velocity_ned_mps))
     record = dataclasses.replace(measured(1100 * MS), orientation=0)
     (message,) = outputs.messages(record, 0, 1700 * MS)
     assert sent(message).current_distance == metres_cm

@@ -51,7 +51,7 @@ class RangePublisher:
         """Use changed live settings from now on."""
         self._settings = settings
 
-    def flown(self, state: VehicleState) -> None:
+    def note_motion(self, state: VehicleState) -> None:
         """Note how the aircraft moves, as the autopilot tells it."""
         self._states.append(state)
 

@@ -233,7 +233,7 @@ class MavlinkAutopilot:
             elif record.name == "IMU_INTEG_RATE":
                 self.rates.integration_rate(record.value)
         elif isinstance(record, VehicleState):
-            self._ranges.flown(record)
+            self._ranges.note_motion(record)
         elif isinstance(record, TimesyncReply):
             self._timesync.answered(record.clock)
         elif isinstance(record, ClockRestart):
