@@ -18,6 +18,9 @@ from companion.records import Floats
 _LAGS_S = 4.0  # of the correlations: some ten periods of a damped mode (choice)
 _WINDOW_END = 0.03  # of the correlation window at its last lag: damping it adds is taken off again (choice)
 _BLOCKS = 6  # of a recording, whose scatter gives the sigma (choice)
+# chosen, of the decay that the correlation window adds: a line that decays more slowly is a tone, or a mode whose
+# damping the window hides (at 7 Hz below 0.2 %)
+_RESOLVED = 0.1
 _NEAR = 0.08  # of the frequency: the same mode in another block (choice)
 
 
@@ -30,6 +33,11 @@ class AmbientMode:
     damping: float
     damping_sigma: float
     blocks: int
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the line decays fast enough to be told from a steady tone."""
+        return bool(2.0 * np.pi * self.frequency_hz * self.damping >= _RESOLVED * -np.log(_WINDOW_END) / _LAGS_S)
 
 
 def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> list[AmbientMode]:

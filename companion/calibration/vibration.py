@@ -65,6 +65,8 @@ def read_vibration_test(
         A run's file is missing or has no such channel.
     """
     layout = _layout(layout_path)
+    if "test" in layout and "points" not in layout:
+        raise ConfigError(f"{layout_path}: is a mapping for spanwise diagnose, not a layout of points and runs")
     try:
         points = [
             Point(int(e["number"]), float(e["span_m"]), float(e["aft_m"]), str(e["edge"]) == "leading")

@@ -117,7 +117,10 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
     recording = open_recording(options.recording, base)
     motion = wing_motion(recording.records(), recording.airframe, recording.hub)
     modes = motion.modes(tuple(options.band))
-    plain = {name: [dataclasses.asdict(mode) for mode in family] for name, family in modes.items()}
+    plain = {
+        name: [dataclasses.asdict(mode) | {"resolved": mode.resolved} for mode in family]
+        for name, family in modes.items()
+    }
     result = {"airframe": recording.airframe.name, **plain}
     (options.out / "modes.json").write_text(json.dumps(result, indent=2), encoding="utf-8")
     for name, family in modes.items():
@@ -125,8 +128,10 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
             print(
                 f"{name:13s} {mode.frequency_hz:8.3f} +- {mode.frequency_sigma_hz:.3f} Hz   "
                 f"zeta {100 * mode.damping:6.2f} +- {100 * mode.damping_sigma:.2f} %   blocks {mode.blocks}"
+                + ("" if mode.resolved else "   a steady tone, or damped too little to tell: left out")
             )
     draw_flight(motion, modes, options.out)
+    modes = {name: [mode for mode in family if mode.resolved] for name, family in modes.items()}
     if not all(modes.values()):
         print("not both families show a mode: no airframe written")
         return NOTHING_TO_ESTIMATE

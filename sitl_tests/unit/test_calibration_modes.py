@@ -215,3 +215,14 @@ def test_modes_of_a_gusty_flight_lie_within_their_sigma() -> None:
             unit.append((mode.frequency_hz - f) / mode.frequency_sigma_hz)
     # six blocks give a Student's t of 5 degrees of freedom: rms 1.3
     assert 0.4 < np.sqrt(np.mean(np.square(unit))) < 2.5
+
+
+def test_a_steady_tone_is_no_mode_of_the_wing() -> None:
+    """A sine in noise decays never; a mode of 1 % damping does, within the window of the correlations."""
+    t = np.arange(round(60.0 * 200.0)) / 200.0
+    tone = np.sin(2.0 * np.pi * 7.3 * t) + 0.05 * np.random.default_rng(1).standard_normal(len(t))
+    estimates = ambient_modes(tone[:, np.newaxis], 200.0, (2.0, 40.0))
+    assert [mode.resolved for mode in estimates if abs(mode.frequency_hz - 7.3) < 0.1] in ([], [False])
+    wing = _gust_driven(3, ((7.3, 0.01, 1.0),), 60.0)
+    (mode,) = (mode for mode in ambient_modes(wing[:, np.newaxis], 200.0, (2.0, 40.0)) if mode.frequency_hz < 10.0)
+    assert mode.resolved

@@ -149,7 +149,7 @@ class WingGuide:
             families = wing_motion(self._records, self._airframe, ClockName.HOST).modes(_BAND_HZ)
         except RecordingError as error:
             return [GuideStep("modes", str(error), "mend nodes and clocks first")]
-        return [self._mode(name, families[name][0] if families[name] else None) for name in families]
+        return [self._mode(name, next((mode for mode in families[name] if mode.resolved), None)) for name in families]
 
     # ------------------------------------------------------------------------------------------------
 
