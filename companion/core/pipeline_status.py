@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from companion.core.pipeline_state import PipelineState
 from companion.core.silence import NO_PAIRS
 from companion.params.airframe import Airframe
@@ -13,6 +15,7 @@ def status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Records that tell how the service is: each clock, the trigger's latency, why no range comes, health."""
     health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
+    clocks = [known if known.at_host_ns else dataclasses.replace(known, at_host_ns=now_ns) for known in clocks]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
     say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
     return [

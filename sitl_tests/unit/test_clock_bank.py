@@ -10,7 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.clock.bank import ClockBank
-from companion.records import ClockName, ClockRestart, Reject, TimesyncReply
+from companion.core.pipeline import start, step
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, ClockRestart, ClockState, Reject, Tick, TimesyncReply
 from tools.bench.clock_link import MS, NODE, Link, S, fly
 
 
@@ -284,3 +287,15 @@ def test_the_truth_lies_within_the_bound_whatever_the_link(
         answer = bank.to_host(NODE, link.stamps(true))
         if not isinstance(answer, Reject):
             assert np.abs(answer[0] - true).max() <= answer[1]
+
+
+def test_no_state_of_a_clock_is_of_no_time() -> None:
+    """A late first answer tells nothing, and yet it is told when it came."""
+    bank = ClockBank()
+    late = TimesyncReply(ClockName.BOOT, 5_000_000_000, 1_000_000_000, 6_500_000_000)
+    assert bank.exchange(late).at_host_ns == 6_500_000_000
+    state = start(load_airframe("nadir-2m"), Settings())
+    _, outputs = step(state, Tick(7_000_000_000))
+    told = [record for record in outputs if isinstance(record, ClockState)]
+    assert told
+    assert all(record.at_host_ns == 7_000_000_000 for record in told)

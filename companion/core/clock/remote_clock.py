@@ -72,7 +72,7 @@ class RemoteClockEstimator:
         """Take one exchange."""
         if not 0 <= reply.received_host_ns - reply.sent_host_ns <= MOST_ROUND_TRIP_NS:
             self.discarded += 1
-            return self.state()
+            return self.state(None if self._last_host_ns else reply.received_host_ns)
         self._last_host_ns = max(self._last_host_ns, reply.received_host_ns)
         if self._window is None:
             self._window = ExchangeWindow(reply, self._before.skews)
