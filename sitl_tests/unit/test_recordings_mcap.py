@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 
 from companion.adapters.mavlink.decode.decoder import OUTGOING
 from companion.adapters.recordings.mcap import channels
+from companion.adapters.recordings.mcap.container import covered_s
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
@@ -296,3 +297,10 @@ def test_foreign_and_missing_files_are_refused_in_words(tmp_path: Path) -> None:
         open_recording(tmp_path / "no-such.mcap")
     with pytest.raises(RecordingError, match="cannot be written"):
         McapWriter(tmp_path / "no" / "folder.mcap", about())
+
+
+def test_chunks_that_overlap_are_not_lost_twice() -> None:
+    second_ns = 1_000_000_000
+    spans_s = [(4, 6), (1, 3), (2, 4), (0, 0), (2, 3), (8, 9)]
+    assert covered_s((start * second_ns, end * second_ns) for start, end in spans_s) == pytest.approx(6.0)
+    assert covered_s([]) == 0.0

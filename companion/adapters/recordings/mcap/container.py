@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -95,14 +96,22 @@ def check_size(chunk: mcap.Chunk) -> None:
         raise ValueError(f"{max(sizes)} bytes in a chunk")
 
 
-def recorded_duration_s(file: BinaryIO, segment: FileSegment) -> float:
-    """Recorded time in a chunk, by its head; 0 where that is damaged too."""
+def recorded_span_ns(file: BinaryIO, segment: FileSegment) -> tuple[int, int]:
+    """First and last instant of a chunk, by its head; both 0 where that is damaged too."""
     if segment.length < TIME_SPAN.size:
-        return 0.0
+        return 0, 0
     file.seek(segment.offset)
     start_ns, end_ns = TIME_SPAN.unpack(file.read(TIME_SPAN.size))
-    lasted_s = (end_ns - start_ns) * 1e-9
-    return lasted_s if 0.0 <= lasted_s < LONGEST_CHUNK_S else 0.0
+    return (start_ns, end_ns) if 0 <= end_ns - start_ns < LONGEST_CHUNK_S * 1e9 else (0, 0)
+
+
+def covered_s(spans_ns: Iterable[tuple[int, int]]) -> float:
+    """Time that spans cover together: chunks overlap, for a record is written some time after its instant."""
+    total_ns = reached_ns = 0
+    for start_ns, end_ns in sorted(spans_ns):
+        total_ns += max(end_ns - max(start_ns, reached_ns), 0)
+        reached_ns = max(reached_ns, end_ns)
+    return total_ns * 1e-9
 
 
 _PARSERS = {

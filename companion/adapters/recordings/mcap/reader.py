@@ -22,9 +22,10 @@ from companion.adapters.recordings.mcap.container import (
     FileSegment,
     check_attachment,
     check_size,
+    covered_s,
     learn,
     parse,
-    recorded_duration_s,
+    recorded_span_ns,
     scan,
 )
 from companion.adapters.recordings.mcap.images import ImageFormat
@@ -58,7 +59,7 @@ class McapRecording:
         self.path = path
         self._notes = Notes()
         self._segments, self._end = scan(path)
-        self._damaged_s: dict[int, float] = {}  # by the place of the chunk
+        self._damaged_ns: dict[int, tuple[int, int]] = {}  # by the place of the chunk
         self._drops: list[int] = []  # how many records stand before what was dropped
         try:
             facts, texts = self._header()
@@ -117,7 +118,7 @@ class McapRecording:
     @property
     def missing_s(self) -> float | None:
         """Recorded time that is lost, where the file tells; complete once ``records`` is exhausted."""
-        lost_s = sum(self._damaged_s.values())
+        lost_s = covered_s(self._damaged_ns.values())
         if self._finished:
             return lost_s
         behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self.span_ns()[1]) * 1e-9
@@ -185,7 +186,7 @@ class McapRecording:
             return list(breakup_chunk(chunk, validate_crc=True))
         except DAMAGE as error:
             self.complete = False
-            self._damaged_s[segment.offset] = recorded_duration_s(file, segment)
+            self._damaged_ns[segment.offset] = recorded_span_ns(file, segment)
             what = f"{type(error).__name__}: {error}"[:120]
             self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({what})")
             return []
