@@ -102,6 +102,11 @@ class FlightLog:
     _range_m: float = float("nan")
     _vertical: dict[Station, list[Floats]] = field(default_factory=dict)
 
+    @property
+    def estimated(self) -> bool:
+        """Whether the recording holds estimates: an autopilot's log and tables hold what was measured alone."""
+        return bool(self.modes or self.ranges or self.clocks)
+
     def add(self, record: Record) -> None:
         """Take the next record, of any kind."""
         self.info.add(record)

@@ -233,7 +233,7 @@ def test_blur_is_told_apart_by_the_distance_of_the_scene() -> None:
 
 
 def test_without_wing_or_cameras_the_verdict_says_so() -> None:
-    assert "No wing was tracked" in verdict(gather([])).headline
+    assert "Nothing was estimated" in verdict(gather([])).headline
     assert "No range was measured" in verdict(gather([mode(0)])).headline
 
 
@@ -293,3 +293,10 @@ def test_a_recording_that_was_cut_off_says_so_beneath_its_verdict(
     assert main(["report", str(path)]) == 0
     assert "note: cut.mcap: truncated at" in capsys.readouterr().out
     assert "of flight, cut off while recording" in (tmp_path / "cut.html").read_text(encoding="utf-8")
+
+
+def test_a_log_without_estimates_is_not_said_to_show_no_wing() -> None:
+    samples = shaken(Station.ROOT)
+    assert "Nothing was estimated in this recording" in verdict(gather(samples)).headline
+    unsynced = ClockState(ClockName.BOOT, SECOND_NS, 0, 0.0, SECOND_NS, synced=False)
+    assert "No wing was tracked" in verdict(gather([unsynced, *samples])).headline

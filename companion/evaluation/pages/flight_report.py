@@ -35,6 +35,7 @@ _BLUR = (
     "The blur that spanwise demo states is the wing's alone."
 )
 _REFUSED = "In brackets how many were refused or withheld; a mark is a message, which may stand for many samples."
+_NOT_ESTIMATED = "Nothing was estimated in this recording: spanwise replay --out NEW.mcap does, and report reads that"
 _WITHOUT_FIGURES = "nothing to judge"
 
 
@@ -55,6 +56,8 @@ class FlightVerdict:
 def verdict(log: FlightLog) -> FlightVerdict:
     """Judge a flight by what it recorded itself; no truth is known."""
     total, published = len(log.ranges), log.trusted()
+    if not log.estimated:
+        return FlightVerdict(_WITHOUT_FIGURES, _NOT_ESTIMATED, ())
     if not log.modes:
         return FlightVerdict(_WITHOUT_FIGURES, "No wing was tracked: nothing can be said of ranges", ())
     if not total:
@@ -113,6 +116,8 @@ def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterat
 
 
 def _answers(log: FlightLog, judged: FlightVerdict) -> Iterator[tuple[str, str]]:
+    if not log.estimated:
+        return
     yield "Why not all ranges?", "; ".join(judged.reasons) or "none was withheld"
     yield "Was the wing tracked?", f"{100 * log.tracked_ratio():.0f} % of the time; {_modes_sentence(log)}"
     yield "What is the correction worth?", _rigid_sentence(log)
