@@ -97,8 +97,11 @@ def _tables(recording: Recording, folder: Path) -> bool:
 def _samples(folder: Path, batches: list[ImuBatch]) -> Iterator[tuple[str, str]]:
     """Write the samples of each clock into a folder of their own; give its name and what it holds."""
     for clock in sorted({batch.clock for batch in batches}):
-        streams = streams_of(batch for batch in batches if batch.clock is clock)
+        of_clock = [batch for batch in batches if batch.clock is clock]
+        streams = streams_of(of_clock)
         place = folder / f"samples_{clock}"
         write_folder(place, streams)
         counts = ", ".join(f"{len(stream.t_ns)} of {stream.station.name.lower()}" for stream in streams)
-        yield place.name, f"samples in the clock '{clock}': {counts}"
+        repeated = sum(len(batch.t_ns) for batch in of_clock) - sum(len(stream.t_ns) for stream in streams)
+        left_out = f"; {repeated} whose stamps repeat are left out" if repeated else ""
+        yield place.name, f"samples in the clock '{clock}': {counts}{left_out}"

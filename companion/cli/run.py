@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 from companion.adapters.cameras import camera_factory as cameras
+from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
@@ -87,6 +88,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         raise ConfigError("--record-images needs --record and --cameras")
     trigger = simulated_trigger(options.trigger) or triggers.trigger_factory(options.trigger)
     airframe = _with_kept_latency(load_airframe(options.airframe), options)
+    build_mapping(airframe)  # refuses here what would stop every process of the service
     eyes = None
     if options.cameras is not None:
         soft = soft_line(trigger)

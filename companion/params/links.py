@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from companion.errors import LinkError
 
+_LAST_PORT = 65535  # two bytes of a TCP or UDP header (RFC 768)
 DEFAULT_BAUD = 115200
 """Bits per second of a serial device whose rate is left out (a convention of pymavlink's)."""
 
@@ -74,7 +75,9 @@ def parse_link(spelling: str) -> LinkAddress:
     if scheme not in _ALIASES and scheme not in list(LinkKind)[:-1]:
         raise LinkError(f"'{spelling}' is not a connection; use {_SPELLINGS}")
     host, _, port = rest.rpartition(":")
-    if not host or not port.isdecimal() or not 0 <= int(port) <= 65535:
+    if host and port.isdecimal() and int(port) > _LAST_PORT:
+        raise LinkError(f"'{spelling}': a port is at most {_LAST_PORT}")
+    if not host or not port.isdecimal():
         raise LinkError(f"'{spelling}' needs a host and a port, as in udpin:0.0.0.0:14550")
     return LinkAddress(_ALIASES.get(scheme) or LinkKind(scheme), host, int(port))
 

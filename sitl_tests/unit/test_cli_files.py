@@ -105,3 +105,13 @@ def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
     monkeypatch.setattr("companion.cli.calibrate.open_recording", lambda *_: recording)
     assert main(["calibrate", "latency", "flight.mcap", "--airframe", "nadir-2m", "--out", str(tmp_path)]) == 1
     assert "recorded by airframe 'forward-2m', not by 'nadir-2m'" in capsys.readouterr().err
+
+
+def test_run_refuses_an_airframe_that_no_process_could_read_messages_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both tips on one source, as a copied section leaves them: one sentence, and no process is started."""
+    wing = tmp_path / "wing.toml"
+    wing.write_text(dump_airframe(load_airframe("nadir-2m")).replace("component = 201", "component = 200"))
+    assert main(["run", "--connect", "udpin:127.0.0.1:0", "--airframe", str(wing), "--for", "1"]) == 1
+    assert "has the same source as left" in capsys.readouterr().err

@@ -74,3 +74,8 @@ def test_a_mission_refuses_a_wrong_link_with_its_sentence(capsys: pytest.Capture
         parser_for("climb_sweep", "").parse_args(["--connect", "14540"])
     assert ended.value.code == 2
     assert "'14540' is not a connection" in capsys.readouterr().err
+
+
+def test_a_port_that_there_is_not_is_said_to_be_the_fault() -> None:
+    with pytest.raises(LinkError, match="a port is at most 65535"):
+        parse_link("udpin:0.0.0.0:99999")

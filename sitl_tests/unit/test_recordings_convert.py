@@ -21,6 +21,7 @@ from companion.cli.main import main
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
+    Axis,
     ClockName,
     CorrectedRange,
     Flow,
@@ -235,3 +236,15 @@ def test_a_log_without_a_link_becomes_no_telemetry_log(
     (tmp_path / "accel.csv").write_text("t_s,left_z_mps2\n" + "".join(f"{0.01 * i},-9.8\n" for i in range(100)))
     assert main(["convert", str(tmp_path), str(tmp_path / "a.tlog"), "--airframe", "nadir-2m"]) == 1
     assert "holds no MAVLink frames" in capsys.readouterr().err
+
+
+def test_samples_whose_stamps_repeat_are_counted_as_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "twice.mcap"
+    t_ns = np.array([0, 1, 2, 2, 3]) * 1_000_000
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    writer.write(ImuBatch(Station.LEFT, ClockName.HOST, t_ns, np.ones((5, 6)), Axis.ACCEL, int(t_ns[-1])))
+    writer.close()
+    assert main(["convert", str(path), str(tmp_path / "tables")]) == 0
+    assert "4 of left; 1 whose stamps repeat are left out" in capsys.readouterr().out
