@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -40,11 +41,13 @@ class Log:
         self._began_s = time.monotonic()
 
     def say(self, sentence: str) -> None:
-        """One line, with the seconds since the script began."""
+        """One line, with the seconds since the script began; a full disk or a closed terminal ends no flight."""
         line = f"{time.monotonic() - self._began_s:7.1f} s  {sentence}"
-        print(line, flush=True)
-        self._file.write(line + "\n")
-        self._file.flush()
+        with contextlib.suppress(OSError):
+            print(line, flush=True)
+        with contextlib.suppress(OSError):
+            self._file.write(line + "\n")
+            self._file.flush()
 
     def close(self) -> None:
         """Finish the file."""
@@ -252,10 +255,10 @@ class Flight:
     def change_mode(self, number: int, order: Callable[[], None]) -> None:
         """Give an order that changes the mode, and wait until the heartbeat shows it."""
         self.engaged = True
-        self.guard.mode = None
+        self.guard.mode, self.guard.changing = None, (self.watch.mode, number)
         order()
         self.wait(f"mode {number}", lambda: self.watch.mode == number, _MODE_S)
-        self.guard.mode = number
+        self.guard.mode, self.guard.changing = number, ()
 
     def begin(self, number: int = 1) -> None:
         """Fly the uploaded mission from an item on."""

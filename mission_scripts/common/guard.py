@@ -45,6 +45,8 @@ class Guard:
         Of the radius; the place where the mission began.
     mode
         Mode in which the vehicle must be, None while it is being changed.
+    changing
+        While it is being changed, the modes before and after: any other is someone else's order.
     interrupted
         Set by Ctrl-C.
     off_track
@@ -60,6 +62,7 @@ class Guard:
     interrupted: Event
     centre: Place
     mode: int | None = None
+    changing: tuple[int, ...] = ()
     off_track: Callable[[], float | None] | None = None
     floor_m: float = field(init=False)
     more: Callable[[], None] | None = None
@@ -67,6 +70,10 @@ class Guard:
 
     def __post_init__(self) -> None:
         self.floor_m = self.limits.floor_m
+
+    def expected(self) -> tuple[int, ...]:
+        """Modes that this script has ordered or found; none before it orders anything."""
+        return self.changing if self.mode is None else (self.mode,)
 
     def check(self) -> None:
         """Look at everything once."""
@@ -77,6 +84,8 @@ class Guard:
             raise Aborted(f"link lost: no heartbeat for {watch.age_s('HEARTBEAT'):.1f} s", Response.RETURN)
         if self.mode is not None and watch.mode != self.mode:
             raise HandsOff(f"the vehicle left mode {self.mode} for {watch.mode}: pilot or failsafe")
+        if self.mode is None and self.changing and watch.mode not in self.changing:
+            raise HandsOff(f"the vehicle went to mode {watch.mode}, which nobody here ordered: pilot or failsafe")
         if watch.system_status >= _FAILSAFE:
             raise Aborted("the autopilot reports a failsafe (MAV_STATE critical)", Response.RETURN)
         if self.mode is not None and not watch.armed:

@@ -16,7 +16,7 @@ from mission_scripts.common.flight import Flight, Log, safe_order
 from mission_scripts.common.guard import Guard
 from mission_scripts.common.options import limits_from
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, MissionError, Refused, Response
-from mission_scripts.common.recording import ServiceRecorder, Tap, tap_is_enough
+from mission_scripts.common.recording import ServiceRecorder, Tap, tap_is_enough, unused
 from mission_scripts.common.vehicle import LOITER, RTL, NotAccepted, Vehicle, check_kind
 from mission_scripts.common.watch import Watch
 
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace, mission: Mission) -> int:
     except (Refused, OSError) as error:
         print(f"refused: {error}")
         return Exit.REFUSED
-    log = Log(options.out / "mission.log")
+    log = Log(unused(options.out / "mission.log"))
     try:
         with _interrupts() as interrupted:
             return _recorded(options, airframe, mission, log, interrupted)
@@ -49,12 +49,12 @@ def run(options: argparse.Namespace, mission: Mission) -> int:
 
 def _recorded(options: argparse.Namespace, airframe: Airframe, mission: Mission, log: Log, interrupted: Event) -> int:
     """Fly with the recordings open; close them whatever happens."""
-    tap = None if options.no_tap else Tap(options.out / "flight.tlog")
+    tap = None if options.no_tap else Tap(unused(options.out / "flight.tlog"))
     service: ServiceRecorder | None = None
     code = Exit.REFUSED
     try:
         if options.service is not None:
-            service = ServiceRecorder(options.service, options.airframe, _fresh(options.out / "flight.mcap"))
+            service = ServiceRecorder(options.service, options.airframe, unused(options.out / "flight.mcap"))
             log.say(f"spanwise run records on {options.service}")
         code = _connected(options, airframe, mission, log, interrupted, tap)
     except (Refused, FileNotFoundError) as error:
@@ -105,29 +105,33 @@ def _fly(flight: Flight, mission: Mission) -> Exit:
             raise Refused(str(error)) from error
         flight.say(f"ABORT: {error}")
         return make_safe(flight, flight.options.on_abort, Exit.ABORTED)
-    except MissionError as error:
+    except Exception as error:  # whatever it is, an aircraft that was commanded is not left to itself
         if not flight.engaged:
             raise
-        flight.say(f"ABORT: {error}")
+        what = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+        flight.say(f"ABORT: {what}")
         return make_safe(flight, flight.options.on_abort, Exit.ABORTED)
 
 
 def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
     """Order hold or RTL until the heartbeat shows it.
 
-    Keeps trying while the link is away, and does nothing to a vehicle that was never commanded or that someone else has
-    taken meanwhile.
+    Below the floor hold is RTL, for a circle there may meet the ground. Keeps trying while the link is away, and does
+    nothing to a vehicle that was never commanded or that someone else has taken meanwhile.
     """
     if not flight.engaged:
         flight.say("the vehicle was not commanded by this script and is left as it is")
         return code if code is Exit.INTERRUPTED else Exit.REFUSED
     watch, guard = flight.watch, flight.guard
+    if watch.height_m < guard.limits.floor_m:
+        response = Response.RETURN
     wanted, order = (RTL, flight.vehicle.return_home) if response is Response.RETURN else (LOITER, flight.vehicle.hold)
     flight.say(f"ordering {response.value.upper()}")
     guard.interrupted.clear()
     ends_s = time.monotonic() + _CONFIRM_S
     while time.monotonic() < ends_s and not guard.interrupted.is_set():
-        if watch.age_s("HEARTBEAT") < 2.0 and guard.mode is not None and watch.mode not in (guard.mode, wanted):
+        expected = guard.expected()
+        if watch.age_s("HEARTBEAT") < 2.0 and expected and watch.mode not in (*expected, wanted):
             flight.say(f"HANDS OFF: the vehicle is in mode {watch.mode} by someone else's order")
             return Exit.HANDS_OFF
         trouble = safe_order(order)
@@ -146,9 +150,9 @@ def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[Event]:
-    """Ctrl-C and SIGTERM set an event instead of tearing the script apart; a second one ends the waiting."""
+    """Ctrl-C, SIGTERM and a terminal that goes set an event and tear nothing apart; a second one ends the waiting."""
     caught = Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     for number in before:
         signal.signal(number, lambda *_: caught.set())
     try:
@@ -163,12 +167,6 @@ def _airframe(name: str) -> Airframe:
         return load_airframe(name)
     except Exception as error:  # whatever is wrong with the file, its sentence is what the user needs
         raise Refused(str(error)) from error
-
-
-def _fresh(path: Path) -> Path:
-    """The service's recorder never overwrites; an old file makes room."""
-    path.unlink(missing_ok=True)
-    return path
 
 
 def _tell_recordings(

@@ -16,12 +16,15 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from mission_scripts.common.flight import Flight
 from mission_scripts.common.guard import Guard, Limits
 from mission_scripts.common.legs import back_and_forth
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Response
 from mission_scripts.common.places import Place, Route, parse_place
-from mission_scripts.common.recording import Tap
+from mission_scripts.common.recording import Tap, unused
+from mission_scripts.common.run import _fly, make_safe
+from mission_scripts.common.vehicle import LOITER, RTL
 from mission_scripts.common.watch import Range, Watch
 
 HERE = Place(47.0, 8.0)
@@ -251,3 +254,62 @@ def test_the_tap_s_file_is_a_tlog(tmp_path: Path) -> None:
     assert stamps == sorted(stamps)
     assert tap.counts == {(1, 27): 50}
     assert abs(stamps[0] - (tmp_path / "flight.tlog").stat().st_mtime) < 60.0
+
+
+def test_a_mode_that_nobody_ordered_is_someone_elses_while_the_mode_is_being_changed() -> None:
+    watching = guard(flying(mode=0))
+    watching.mode, watching.changing = None, (10, 15)
+    with pytest.raises(HandsOff, match="mode 0"):
+        watching.check()
+    for mode in (10, 15):
+        changing = guard(flying(mode=mode))
+        changing.mode, changing.changing = None, (10, 15)
+        changing.check()
+
+
+@pytest.mark.parametrize(("height_m", "mode"), [(60.0, LOITER), (4.0, RTL)])
+def test_below_the_floor_an_aircraft_that_was_commanded_returns(height_m: float, mode: int) -> None:
+    """A circle at four metres may meet the ground."""
+    flight, orders = _engaged(flying(height_m=height_m))
+    assert _fly(flight, _broken) is Exit.ABORTED
+    assert orders == [mode]
+    assert any("OSError" in sentence for sentence in flight.said), "whatever the mission raises, the vehicle is safe"
+
+
+def test_what_the_pilot_took_while_a_mode_was_changed_is_left_alone() -> None:
+    flight, orders = _engaged(flying(mode=0))
+    flight.guard.mode, flight.guard.changing = None, (10, 15)
+    assert make_safe(flight, Response.HOLD, Exit.ABORTED) is Exit.HANDS_OFF
+    assert orders == []
+
+
+def _broken(flight: Flight) -> Exit:
+    raise OSError(28, "No space left on device")
+
+
+def _engaged(watch: Watch) -> tuple[Any, list[int]]:
+    """A flight that was commanded, whose vehicle obeys, and the modes that are ordered of it."""
+    orders: list[int] = []
+
+    def order(mode: int) -> None:
+        orders.append(mode)
+        heard(watch, "HEARTBEAT", custom_mode=mode, base_mode=217, system_status=4, type=1, autopilot=3)
+
+    said: list[str] = []
+    vehicle = types.SimpleNamespace(hold=lambda: order(LOITER), return_home=lambda: order(RTL))
+    options = types.SimpleNamespace(on_abort=Response.HOLD)
+    flight = types.SimpleNamespace(
+        engaged=True, watch=watch, guard=guard(watch), vehicle=vehicle, options=options, say=said.append, said=said,
+        hear=lambda: None, where=lambda: "here",
+    )  # fmt: skip
+    return flight, orders
+
+
+def test_an_earlier_flight_keeps_its_files(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    assert unused(path) == path
+    path.write_bytes(b"the first")
+    second = unused(path)
+    assert second.name == "flight.2.tlog"
+    second.write_bytes(b"the second")
+    assert unused(path).name == "flight.3.tlog"
