@@ -76,7 +76,7 @@ def calibrate(flight: Flight) -> Exit:
 
 
 def _conclude(flight: Flight, groups: list[Group], base_m: float) -> Exit:
-    offset = estimate(groups, base_m, _SLOW_RAD)
+    offset = estimate(groups, base_m, _SLOW_RAD, one_run=flight.options.mark is not None)
     flight.say(
         f"convergence offset {1e3 * offset.toe_rad:+.2f} +- {1e3 * offset.sigma_rad:.2f} mrad (positive: diverges)"
     )

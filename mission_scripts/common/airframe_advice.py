@@ -51,7 +51,8 @@ def advise(airframe: Airframe, offset: Offset) -> Advice:
 
 def _trim(airframe: Airframe, offset: Offset) -> Advice:
     wing = airframe.wing
-    per_metre = 2.0 * wing.symmetric.slope_factor_radpm.value
+    gains = sum(camera.slope_gain for camera in airframe.camera_pair)
+    per_metre = gains * wing.symmetric.slope_factor_radpm.value
     value = wing.trim_bend_m.value + offset.toe_rad / per_metre
     sigma = abs(offset.sigma_rad / per_metre)
     new = f"trim_bend_m = {{ value = {value:.5f}, sigma = {sigma:.5f} }}"

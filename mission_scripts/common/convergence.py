@@ -7,6 +7,7 @@ distance. At one distance the two look alike; at several they come apart.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import statistics
 from collections.abc import Sequence
@@ -61,7 +62,9 @@ def group(reference: Sequence[tuple[float, float]], read_m: Sequence[float]) -> 
     )
 
 
-def estimate(groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float = 0.0) -> Offset:
+def estimate(
+    groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float = 0.0, *, one_run: bool = False
+) -> Offset:
     """Weighted least squares of ``1/Z' = s/Z + theta/B`` over the groups.
 
     Parameters
@@ -73,6 +76,8 @@ def estimate(groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float =
     slow_sigma_rad : float
         An error of the toe that is common to all ranges of a group however many they are (trim bend changing from leg
         to leg); known distances may have such an error too, so neither shrinks with the number of ranges.
+    one_run : bool
+        The groups are of one run: both errors are common to all of them, and shrink with their number neither.
 
     Raises
     ------
@@ -84,12 +89,22 @@ def estimate(groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float =
     rows = []
     for entry in groups:
         variance = (entry.scatter_m / math.sqrt(max(entry.count, 1)) / entry.read_m**2) ** 2
-        variance += (entry.known_sigma_m / entry.known_m**2) ** 2 + (slow_sigma_rad / baseline_m) ** 2
+        if not one_run:
+            variance += (entry.known_sigma_m / entry.known_m**2) ** 2 + (slow_sigma_rad / baseline_m) ** 2
         rows.append((1.0 / entry.known_m, 1.0 / entry.read_m, 1.0 / max(variance, 1e-18)))
     distances = [entry.known_m for entry in groups]
-    if max(distances) < _APART * min(distances):
-        return _toe_alone(rows, baseline_m)
-    return _toe_and_scale(rows, baseline_m)
+    solve = _toe_alone if max(distances) < _APART * min(distances) else _toe_and_scale
+    offset = solve(rows, baseline_m)
+    if not one_run:
+        return offset
+    slow = [(x, y + slow_sigma_rad / baseline_m, w) for x, y, w in rows]
+    longer = [(x, y + entry.known_sigma_m * x**2, w) for (x, y, w), entry in zip(rows, groups, strict=True)]
+    changed = [solve(shifted, baseline_m) for shifted in (slow, longer)]  # linear: by one sigma of either
+    return dataclasses.replace(
+        offset,
+        sigma_rad=math.hypot(offset.sigma_rad, *(each.toe_rad - offset.toe_rad for each in changed)),
+        scale_sigma=math.hypot(offset.scale_sigma, *(each.scale - offset.scale for each in changed)),
+    )
 
 
 def _toe_alone(rows: Sequence[tuple[float, float, float]], baseline_m: float) -> Offset:

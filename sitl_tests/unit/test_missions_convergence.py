@@ -145,3 +145,30 @@ def test_a_wrong_trim_sigma_never_comes_out_negative() -> None:
     written = advice.values["wing.trim_bend_m"]
     assert written["value"] == pytest.approx(0.02 - 0.01 / 2.78, abs=1e-4)  # type: ignore[index]
     assert written["sigma"] > 0  # type: ignore[index]
+
+
+def test_errors_that_a_run_shares_do_not_shrink_with_its_groups() -> None:
+    """0.3 mrad of slow error and 0.2 m of known distance, common to 16 groups of one run."""
+    rng = np.random.default_rng(4)
+    ratios = []
+    for _ in range(400):
+        slow_rad, off_m, entries = rng.normal(0.0, 0.0003), rng.normal(0.0, 0.2), []
+        for z in np.linspace(60.0, 360.0, 16):
+            samples = read(z, slow_rad) + rng.normal(0.0, 0.004 * z, 10)
+            entries.append(group([(z + off_m, 0.2)] * 10, samples.tolist()))
+        offset = estimate(entries, BASE_M, 0.0003, one_run=True)
+        ratios.append(offset.toe_rad / offset.sigma_rad)
+        assert offset.sigma_rad > 0.0003
+    assert 0.85 < float(np.std(ratios)) < 1.3
+
+
+def test_a_camera_that_shows_less_of_the_tips_slope_needs_more_trim_for_the_same_toe() -> None:
+    whole = load_airframe("nadir-2m")
+    cameras = [dataclasses.replace(camera, slope_gain=0.8) for camera in whole.camera_pair]
+    inboard = dataclasses.replace(whole, left_camera=cameras[0], right_camera=cameras[1])
+    offset = Offset(0.002, 0.0002, 1.0, math.inf, 1.0)
+    moved = [
+        advise(each, offset).values["wing.trim_bend_m"]["value"] - each.wing.trim_bend_m.value  # type: ignore[index]
+        for each in (whole, inboard)
+    ]
+    assert moved[1] == pytest.approx(moved[0] / 0.8)
