@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import sys
@@ -209,3 +210,33 @@ def test_gpio_without_its_library_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(DeviceError, match=r"spanwise\[gpio\]"):
         GpioTrigger("/dev/gpiochip0", 17)
+
+
+@needs_compiler
+def test_after_a_failure_the_boards_clock_is_read_anew_and_the_next_shot_comes(bench: Board) -> None:
+    """A board that started again has another time: what was planned by the old one is late, or never comes."""
+    trigger = SerialBoardTrigger(bench.port)
+    trigger.clock = _moved(trigger.clock, -50_000_000, 0)
+    with pytest.raises(DeviceError, match="late"):
+        trigger.fire(_plan(1, time.monotonic_ns()))
+    assert trigger.fire(_plan(2, time.monotonic_ns())).plan_id == 2
+    trigger.close()
+
+
+@needs_compiler
+def test_after_minutes_without_a_shot_the_board_is_asked_first(bench: Board) -> None:
+    trigger = SerialBoardTrigger(bench.port)
+    trigger.clock = _moved(trigger.clock, -12_000_000, 600_000_000_000)
+    plan = _plan(1, time.monotonic_ns())
+    shot = trigger.fire(plan)
+    assert abs(shot.fired_host_ns - plan.command_host_ns - LEAD_NS) < 5_000_000
+    trigger.close()
+
+
+def _moved(clock: BoardClock, offset_ns: int, age_ns: int) -> BoardClock:
+    """The exchanges of a clock, as old as that and with another offset."""
+    moved = BoardClock()
+    for exchange in clock._exchanges:
+        at_ns, offset = exchange.at_host_ns - age_ns, exchange.offset_ns + offset_ns
+        moved._exchanges.append(dataclasses.replace(exchange, at_host_ns=at_ns, offset_ns=offset))
+    return moved

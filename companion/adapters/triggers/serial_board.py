@@ -20,7 +20,9 @@ LEAD_NS = 4_000_000
 _ANSWER_S = 0.05  # chosen: many times what a slow USB link needs for a line
 _WAKE_S = 3.0  # chosen: boards whose boot loader waits start within two seconds
 _FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset (choice)
+_EXCHANGES_ANEW = 4  # chosen: after a failure, which a next shot should not wait for
 _EXCHANGES = 32  # chosen: newest exchanges that the clock rests on: quick ones enough, and young
+_OLDEST_NS = 1_000_000_000  # chosen: an offset that is older may be off by 30 us; the board is asked before a shot
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
 _WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
 
@@ -39,6 +41,10 @@ class BoardClock:
 
     def __init__(self) -> None:
         self._exchanges: deque[BoardExchange] = deque(maxlen=_EXCHANGES)
+
+    def is_stale(self, now_host_ns: int) -> bool:
+        """Whether no exchange is recent."""
+        return not self._exchanges or now_host_ns - self._exchanges[-1].at_host_ns > _OLDEST_NS
 
     def add(self, asked_ns: int, received_us: int, sent_us: int, answered_ns: int) -> None:
         """Take the four stamps of one exchange."""
@@ -73,13 +79,17 @@ class SerialBoardTrigger:
     """
 
     def __init__(self, port: str, baud: int = 115200) -> None:
+        self._port, self._baud, self._asked = port, baud, 0
+        self._open()
+
+    def _open(self) -> None:
+        """Open the port, find the board and read its clock."""
         try:
-            self._serial = serial.Serial(port, baud, timeout=_ANSWER_S, write_timeout=_ANSWER_S)
+            self._serial = serial.Serial(self._port, self._baud, timeout=_ANSWER_S, write_timeout=_ANSWER_S)
         except (OSError, ValueError) as error:
-            raise DeviceError(f"cannot open trigger board on {port}: {error}") from error
+            raise DeviceError(f"cannot open trigger board on {self._port}: {error}") from error
         with contextlib.suppress(NotImplementedError, OSError, ValueError):
             self._serial.set_low_latency_mode(True)
-        self._port, self._asked = port, 0
         self.clock = BoardClock()
         self._greet()
         for _ in range(_FIRST_EXCHANGES):
@@ -91,8 +101,19 @@ class SerialBoardTrigger:
         Raises
         ------
         DeviceError
-            The board refused the plan (too late, its queue is full), or did not answer.
+            The board refused the plan (too late, its queue is full), or did not answer. Its clock is read anew then,
+            for it may have started again; a port that is gone is opened again.
         """
+        try:
+            return self._fired(plan)
+        except DeviceError:
+            with contextlib.suppress(DeviceError):
+                self._recover()
+            raise
+
+    def _fired(self, plan: TriggerPlan) -> Shot:
+        if self.clock.is_stale(time.monotonic_ns()):
+            self.exchange()
         target_ns = plan.command_host_ns + LEAD_NS
         offset_ns, _ = self.clock.offset(time.monotonic_ns())
         wanted = plan.plan_id % (1 << 32)
@@ -107,6 +128,18 @@ class SerialBoardTrigger:
         shot = Shot(plan.plan_id, plan.command_host_ns, 1000 * edge_us - offset_ns)
         self.exchange()
         return shot
+
+    def _recover(self) -> None:
+        """Withdraw what waits in the board, and read its clock anew."""
+        try:
+            self._send("C")
+        except DeviceError:
+            self._serial.close()
+            self._open()
+            return
+        self.clock = BoardClock()
+        for _ in range(_EXCHANGES_ANEW):
+            self.exchange()
 
     def exchange(self) -> None:
         """Ask the board for its time once; a lost answer is no error."""
