@@ -86,3 +86,32 @@ def test_a_video_pair_plays_to_its_end(tmp_path: Path) -> None:
     assert stamps[0] >= 10**9
     with pytest.raises(DeviceError, match=r"none\.avi"):
         CapturePair(tmp_path / "none.avi", tmp_path / "left.avi")
+
+
+@pytest.mark.parametrize("triggered", [True, False])
+def test_a_device_without_frames_is_gone_unless_it_waits_for_a_trigger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, triggered: bool
+) -> None:
+    class Silent:
+        def __init__(self, source: object) -> None:
+            self.source = source
+
+        def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+            return True
+
+        def grab(self) -> bool:
+            return False
+
+        def release(self) -> None: ...
+
+    devices = [tmp_path / "video0", tmp_path / "video2"]
+    monkeypatch.setattr("companion.adapters.cameras.video.cv2.VideoCapture", Silent)
+    monkeypatch.delenv("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", raising=False)
+    for device in devices:
+        device.mkdir()  # no file, so that it is taken for a device
+    pair = CapturePair(str(devices[0]), str(devices[1]), triggered=triggered)
+    if triggered:
+        assert pair.poll(0.1) == []
+        devices[1].rmdir()
+    with pytest.raises(DeviceError, match="gives no more frames"):
+        pair.poll(0.1)

@@ -56,7 +56,7 @@ def camera_factory(
         raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
     if kind == "v4l2":
         first, second = (int(word) if word.isdigit() else word for word in _two(where, spelling))
-        return functools.partial(_v4l2, first, second, left)
+        return functools.partial(_v4l2, first, second, left, triggered=triggered)
     if kind == "folder":
         return functools.partial(_folder, Path(where), left)
     if kind == "video":
@@ -95,12 +95,14 @@ def _oak_timing(camera: Camera, triggered: bool) -> OakTiming:
     )
 
 
-def _v4l2(left: int | str, right: int | str, camera: Camera) -> CameraPair:
+def _v4l2(left: int | str, right: int | str, camera: Camera, *, triggered: bool) -> CameraPair:
     """The driver stamps the end of the first row's exposure; from there back to the middle of the middle row's."""
     to_middle_s = 0.5 * camera.row_time_s * (camera.height_px - 1) - 0.5 * camera.exposure_s
     exposure_ns, row_ns = _times(camera)
     shift_ns = round(to_middle_s * 1e9)
-    return CapturePair(left, right, exposure_ns=exposure_ns, row_time_ns=row_ns, stamp_to_middle_ns=shift_ns)
+    return CapturePair(
+        left, right, exposure_ns=exposure_ns, row_time_ns=row_ns, stamp_to_middle_ns=shift_ns, triggered=triggered
+    )
 
 
 def _folder(folder: Path, camera: Camera) -> CameraPair:

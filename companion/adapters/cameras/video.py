@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ class CapturePair:
     exposure, to which ``stamp_to_middle_ns`` (negative) leads back. A frame without a stamp is an error, never "now".
 
     ``left`` and ``right`` are device numbers, device paths or files. The stamps are on ``clock``: HOST for devices, the
-    hub's name for files. ``start_ns`` is added to every stamp of a file, whose stamps begin at 0.
+    hub's name for files. ``start_ns`` is added to every stamp of a file, whose stamps begin at 0. A ``triggered`` pair
+    gives no frames while nothing triggers it; it is gone when its devices are.
     """
 
     def __init__(
@@ -34,7 +36,12 @@ class CapturePair:
         row_time_ns: int = 0,
         stamp_to_middle_ns: int = 0,
         start_ns: int = 0,
+        triggered: bool = False,
     ) -> None:
+        if triggered:  # else OpenCV waits 10 s for a frame; read when a device is opened
+            os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
+        self._devices = [Path(f"/dev/video{source}" if isinstance(source, int) else source) for source in (left, right)]
+        self._triggered = triggered
         self._clock, self._exposure_ns, self._row_time_ns = clock, exposure_ns, row_time_ns
         self._shift_ns = stamp_to_middle_ns + start_ns
         self._captures = [_opened(source) for source in (left, right)]
@@ -51,7 +58,7 @@ class CapturePair:
         """
         grabbed = [capture.grab() for capture in self._captures]
         if not all(grabbed):
-            if self._live:
+            if self._live and not (self._triggered and all(device.exists() for device in self._devices)):
                 raise DeviceError(f"camera {Side(grabbed.index(False)).name.lower()} gives no more frames")
             return []
         frames = [self._frame(side, capture) for side, capture in zip(Side, self._captures, strict=True)]
