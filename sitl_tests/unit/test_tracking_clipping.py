@@ -116,3 +116,13 @@ def test_values_that_are_not_finite_are_no_clipped_ones() -> None:
     refused = stream.add(ImuBatch(Station.LEFT, ClockName.HOST, t_ns, values, Axis.ALL, SECOND), 0)
     assert {refusal.reason: refusal.count for refusal in refused} == {Reject.NOT_FINITE: 2}
     assert not stream.clipping.active
+
+
+def test_what_waits_for_another_station_is_kept_for_seconds_only() -> None:
+    stream = SampleBuffer(LEFT)
+    for k in range(600):
+        t_ns = np.arange(k * 1000, (k + 1) * 1000, 3, dtype=np.int64) * 1_000_000
+        stream.add(ImuBatch(Station.LEFT, ClockName.HOST, t_ns, np.ones((len(t_ns), 6)), Axis.ACCEL, int(t_ns[-1])), 0)
+        stream.forget_waited()
+        stream.first_ns()
+    assert len(stream.samples()[0]) < 1500

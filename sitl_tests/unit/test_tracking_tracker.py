@@ -107,7 +107,7 @@ def test_smoothing_and_its_window(moving: tuple[np.ndarray, dict[Station, np.nda
     tracker, states = _run(*moving)
     newest = states[-1].t_host_ns
     assert tracker.smooth(newest + MS) is Reject.OUT_OF_WINDOW
-    assert tracker.smooth(newest - 1001 * MS) is Reject.OUT_OF_WINDOW
+    assert tracker.smooth(newest - 1251 * MS) is Reject.OUT_OF_WINDOW
     causal, lagged = tracker.smooth(newest), tracker.smooth(newest - 500 * MS)
     assert isinstance(causal, Deflection)
     assert isinstance(lagged, Deflection)

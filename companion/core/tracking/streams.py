@@ -34,6 +34,7 @@ _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1
 
 _append = kernel("stream_append", ARRAY, ARRAY, INTEGER, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 _all_valid = kernel("stream_all_valid", ARRAY, ARRAY, REAL, REAL, INTEGER)
+_WAITED_NS = 2_000_000_000  # chosen: kept while another station is waited for, longer than any lag
 _EVER_NS = -(2**63)  # before every stamp (convention)
 
 
@@ -217,6 +218,11 @@ class SampleBuffer:
         """All stamps (s,) and values (s, 6) at hand, in order."""
         self._merge_waiting()
         return self.t_ns, self.values
+
+    def forget_waited(self) -> None:
+        """Drop what is older than the newest seconds, as soon as more come: while other stations are waited for."""
+        if self.newest_ns is not None:
+            self._needed_ns = self.newest_ns - _WAITED_NS
 
     def forget(self, before_ns: int) -> None:
         """Drop samples before an instant, as soon as more come."""

@@ -156,10 +156,10 @@ class WingTracker:
         root, *heard_tips = (stream.first_ns() for stream in self._streams)
         heard = [first for first in heard_tips if first is not None]
         if root is None or not heard:
+            for stream in self._streams:
+                stream.forget_waited()
             return False
-        first = max(root, min(heard))
-        self._start_ns = (first // self._step_ns + 2) * self._step_ns
-        self._next_ns = self._start_ns
+        self._next_ns = self._start_ns = (max(root, min(heard)) // self._step_ns + 2) * self._step_ns
         self._settle_ns = self._start_ns + round(EARLY_S * 1e9)
         return self._next_ns < until_ns
 
