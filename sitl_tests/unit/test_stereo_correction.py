@@ -20,6 +20,7 @@ from companion.records import (
     ObstacleSectors,
     OutputRecord,
     Reject,
+    Rejected,
     RelativeRotation,
     VehicleState,
 )
@@ -172,3 +173,15 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
     )
     assert first == other
     assert len(_of(RelativeRotation, _corrected(Still(), Settings(), pairs=5))) == 5
+
+
+def test_a_pair_stamped_in_the_future_holds_up_none_behind_it() -> None:
+    airframe = forward(rotation_sigma_rad=2e-5)
+    correction = Correction.create(airframe, Settings())
+    late = _matches()
+    ahead = dataclasses.replace(late, pair_id=99, mid_exposure_ns=late.mid_exposure_ns + 8_000 * MS)
+    assert list(correction.add(ahead)) == list(correction.add(late)) == []
+    outputs = list(correction.due(Still(), EXPOSED_NS + 2_000 * MS))
+    (refused,) = _of(Rejected, outputs)
+    assert (refused.reason, refused.what) == (Reject.STAMP_OUTLIER, "pair 99")
+    assert [measured.pair_id for measured in _of(CorrectedRange, outputs)] == [late.pair_id]

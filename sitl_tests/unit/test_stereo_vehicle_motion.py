@@ -106,3 +106,12 @@ def test_a_climb_between_unequal_exposures_is_no_toe(climb_mps: float, wind_mps:
                 assert abs(output.rotation_rad[1]) < 1e-3
     assert len(over) == 5
     assert np.abs(over).max() < 3.0
+
+
+def test_a_roll_through_half_a_turn_is_not_upright_between_its_states() -> None:
+    track = VehicleTrack()
+    for t_ns, roll_rad in ((AT_NS - 50 * MS, 3.1), (AT_NS + 50 * MS, -3.1)):
+        track.add(_state(t_ns, roll_rad, 0.0, 0.0))
+    attitude = track.attitude(AT_NS)
+    assert attitude is not None
+    assert np.cos(attitude[0]) == pytest.approx(-1.0, abs=1e-6)

@@ -38,6 +38,7 @@ from companion.records import (
 from companion.units import Severity
 
 _CONFIRMING_FLOW = 40  # features; fewer tell little of one pair's toe (choice; over fields there are 160)
+_AHEAD_NS = 50_000_000  # chosen: an exposure that lies so far ahead of now is stamped wrong
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
@@ -69,6 +70,11 @@ class PendingPair(NamedTuple):
     matches: MatchSet
     stamps: Reject | None
     timing_sigma_s: float
+
+    @property
+    def exposed_ns(self) -> int:
+        """The later of both exposures."""
+        return int(self.matches.mid_exposure_ns.max())
 
 
 @dataclass(slots=True)
@@ -112,8 +118,12 @@ class Correction:
     def due(self, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
         """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
-        while self.pending and int(self.pending[0].matches.mid_exposure_ns.max()) <= ready_ns:
-            yield from self._correct(self.pending.popleft(), tracker, now_host_ns)
+        while self.pending and not ready_ns < (exposed_ns := self.pending[0].exposed_ns) <= now_host_ns + _AHEAD_NS:
+            waiting = self.pending.popleft()
+            if exposed_ns > now_host_ns:  # it would hold up all behind it
+                yield Rejected(Reject.STAMP_OUTLIER, f"pair {waiting.matches.pair_id}", now_host_ns)
+            else:
+                yield from self._correct(waiting, tracker, now_host_ns)
 
     def _correct(self, waiting: PendingPair, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
         matches, middle_ns = waiting.matches, int(waiting.matches.mid_exposure_ns.sum()) // 2

@@ -57,7 +57,7 @@ _MOST_DOUBT = 100.0  # chosen: of variance; a calibration wrong by more than ten
 _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
 # trace for a pair's own baseline: a tenth of its length flown between exposures (choice); far more is singular
 _MAX_SHIFT_RAD2 = 0.01
-# the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests (choice)
+# the tracker's fast error is neither white nor quite Gaussian: its variance counts threefold in tests (choice)
 _FAST_VARIANCE_FACTOR = 3.0
 _CONTRADICTION_NS = 2_000_000_000  # a toe that has changed is found again within so long (choice)
 _VELOCITY_TIME_S = 10.0  # how long a navigation filter's velocity stays wrong the same way (choice)

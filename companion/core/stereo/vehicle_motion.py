@@ -79,7 +79,7 @@ class VehicleTrack:
         """Roll and pitch at an instant, between the states that the autopilot sent; None without one nearby."""
         if not self._near(t_host_ns):
             return None
-        return self._at(t_host_ns, lambda state: state.roll_rad), self._at(t_host_ns, lambda state: state.pitch_rad)
+        return self._at(t_host_ns, _roll), self._at(t_host_ns, _pitch)
 
     def on_ground(self, t_host_ns: int) -> bool | None:
         """Whether the autopilot had said so by an instant, or says so first; None where it does not tell."""
@@ -123,7 +123,9 @@ class VehicleTrack:
         return any(abs(state.received_host_ns - t_host_ns) <= _ATTITUDE_NS for state in self._states)
 
     def _at(self, t_host_ns: int, quantity: Callable[[VehicleState], float]) -> float:
-        return float(np.interp(0.0, self._since_s(t_host_ns), [quantity(state) for state in self._states]))
+        values = [quantity(state) for state in self._states]
+        values = np.unwrap(values).tolist() if quantity is _roll else values
+        return float(np.interp(0.0, self._since_s(t_host_ns), values))
 
     def _since_s(self, t_host_ns: int) -> list[float]:
         return [1e-9 * (state.received_host_ns - t_host_ns) for state in self._states]
