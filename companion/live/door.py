@@ -86,7 +86,7 @@ class Door:
         try:
             if self._open <= _MOST_CONNECTIONS:
                 await self._attend(reader, writer)
-        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+        except (OSError, ValueError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
             pass  # whoever it was has gone, or never spoke HTTP
         except asyncio.CancelledError:
             pass  # the door closes, which is no error to be told

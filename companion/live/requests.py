@@ -81,6 +81,12 @@ def parse_head(head: bytes) -> Request | None:
         if not colon or name != name.strip():
             return None
         headers[name.lower()] = value.strip()
+    try:
+        urlsplit(words[1])
+        urlsplit(f"//{headers.get('host', '')}")
+        urlsplit(headers.get("origin", ""))
+    except ValueError:  # of addresses that are none
+        return None
     return Request(words[0], words[1], headers)
 
 

@@ -231,6 +231,8 @@ def _revived(worker: Worker, now_ns: int) -> list[str]:
         worker.again_ns = now_ns + pause_ns
         worker.restarts += 1
         code = worker.process.exitcode if worker.process else None
+        if worker.abandoned:
+            return [f"process {worker.name} ended ({code}); given up after {worker.restarts - 1} tries"]
         when = f"again in {pause_ns // _SECOND_NS} s" if pause_ns else "spare takes over" if waits else "started again"
         said.append(f"process {worker.name} ended ({code}); {when} (try {worker.restarts})")
     if now_ns >= worker.again_ns:

@@ -103,7 +103,7 @@ def read(link: Link, least: int = 1, within_s: float = 3.0) -> bytes:
         ("udpin", "host and a port"),
         ("udpin:14550", "host and a port"),
         ("udpin:127.0.0.1:high", "host and a port"),
-        ("udpin:127.0.0.1:70000", "host and a port"),
+        ("udpin:127.0.0.1:70000", "a port is at most 65535"),
         ("udpin:203.0.113.1:14550", "0.0.0.0"),
         ("tcp:127.0.0.1:1", "start the autopilot"),
         ("tcpin:203.0.113.1:5760", "203.0.113.1"),

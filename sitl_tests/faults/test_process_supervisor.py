@@ -87,6 +87,7 @@ def test_a_single_death_is_mended_at_once(alone: Tended) -> None:
 def test_what_never_ran_is_given_up_after_a_few_tries(alone: Tended) -> None:
     said = alone.tended(60.0, doomed=True)
     assert len(said) == 5
+    assert said[-1][1] == "process vision ended (1); given up after 4 tries", "what is not tried is not announced"
     assert alone.supervisor.failed() == ["vision"]
     pauses = [after - before for (before, _), (after, _) in itertools.pairwise(said)]
     assert pauses == sorted(pauses), "each pause is longer"

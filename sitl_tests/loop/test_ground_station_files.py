@@ -214,3 +214,16 @@ def test_the_checksum_is_mavlinks() -> None:
             state = state >> 1 ^ (0xEDB88320 if state & 1 else 0)
     assert mavlink_crc32(data) == state
     assert len(parameter_json()) < 20_000
+
+
+def test_a_station_that_begins_again_with_the_same_number_gets_its_own_answer() -> None:
+    server, sizes = FileServer(FILES, COMPANION), {}
+    for at_s, path in enumerate(sorted(FILES, key=lambda name: len(FILES[name]))[:2]):
+        head = struct.pack("<HBBBBBBI", 0, 0, mavftp.OP_OpenFileRO, len(path), 0, 0, 0, 0)
+        payload = list((head + path.encode()).ljust(251, b"\0"))
+        message = mavlink.MAVLink_file_transfer_protocol_message(0, SYSTEM, COMPANION, payload)
+        for _ in range(2):  # the second time as our answer was lost
+            server.hear(Heard(0, 255, 190, message, 0), SYSTEM)
+        answers = [server.due((at_s + 1) * S + k * S // 10) for k in range(2)]
+        sizes[path] = {struct.unpack_from("<I", bytes(answer.payload), 12)[0] for answer in answers}
+    assert sizes == {path: {len(FILES[path])} for path in sizes}

@@ -112,3 +112,8 @@ NO_REQUESTS = (
 @pytest.mark.parametrize("head", NO_REQUESTS)
 def test_what_is_no_request_is_none(head: bytes) -> None:
     assert parse_head(head) is None
+
+
+@pytest.mark.parametrize("head", [b"GET / HTTP/1.1\r\nHost: [\r\n", b"GET //[x HTTP/1.1\r\nHost: localhost\r\n"])
+def test_an_address_that_is_none_is_no_request(head: bytes) -> None:
+    assert parse_head(head) is None

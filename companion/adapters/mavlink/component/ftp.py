@@ -46,7 +46,7 @@ class _Request:
 @dataclass(slots=True)
 class _Client:
     path: str = ""
-    sequence: int = -1
+    request: _Request | None = None
     answer: bytes = b""
     burst_at: int = -1
     burst_sequence: int = 0
@@ -75,8 +75,8 @@ class FileServer:
             return
         sender = (heard.system, heard.component)
         client = self._client(sender)
-        if request.sequence != client.sequence or not client.answer:
-            client.sequence = request.sequence
+        if request != client.request or not client.answer:  # a station that starts again may begin with any number
+            client.request = request
             client.answer = self._answer(client, request)
         if client.answer:
             self._waiting.append((sender, client.answer))

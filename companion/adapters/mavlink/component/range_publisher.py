@@ -27,7 +27,7 @@ _RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins 
 _SPEED_SIGMA_MPS = 0.3  # of a told climb rate or velocity, and of level ground under an aircraft in flight (choice)
 _WIND_SIGMA_MPS = 3.0  # of the airspeed as speed over ground (choice, as for the flow: core/stereo/README.md)
 _OLDEST_NS = 2_000_000_000  # a range older than this is not moved on (choice)
-_SECTORS_LAST_NS = 400_000_000  # as ranges: what is known of obstacles stands for so long (core/output_scheduler.py)
+_SECTORS_LAST_NS = 400_000_000  # chosen: as a range does (core/output_scheduler.py)
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
 
 
@@ -106,8 +106,8 @@ class RangePublisher:
         since = [state for state in self._states if t_host_ns <= state.received_host_ns <= now_host_ns]
         if not ((self._looks_down or self._forward) and since and 0 < age_ns <= _OLDEST_NS):
             return None
-        told = [(-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state) for state in since]
-        speed_mps, sigma_mps = np.mean(told, axis=0).tolist()
+        speeds = [(-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state) for state in since]
+        speed_mps, sigma_mps = np.mean(speeds, axis=0).tolist()
         return 1e-9 * age_ns * speed_mps, 1e-9 * age_ns * sigma_mps
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
