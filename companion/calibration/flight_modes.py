@@ -98,9 +98,10 @@ def _shared(streams: dict[Station, tuple[Ints, Floats]]) -> tuple[int, int]:
     holes = [(start, start), (end, end)]
     for t_ns, _ in streams.values():
         wide = np.flatnonzero(np.diff(t_ns) > _GAP_NS)
-        holes += [(int(t_ns[i]), int(t_ns[i + 1])) for i in wide if start < t_ns[i] < end]
+        holes += [(int(t_ns[i]), int(t_ns[i + 1])) for i in wide if t_ns[i + 1] > start and t_ns[i] < end]
     holes.sort()
-    segments = [(a[1], b[0]) for a, b in itertools.pairwise(holes)]
+    behind = itertools.accumulate((hole[1] for hole in holes), max)  # holes of several stations overlap
+    segments = [(after, hole[0]) for after, hole in zip(behind, holes[1:], strict=False)]
     return max(segments, key=lambda each: each[1] - each[0], default=(start, end))
 
 

@@ -24,6 +24,8 @@ from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 from companion.reporting.plotting import require_report
 
+_DRAFT = "nadir-2m"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
@@ -37,17 +39,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--band", type=number(0.0, 1e5, "Hz"), nargs=2, default=(2.0, 40.0), metavar="HZ", help="where modes are sought"
     )
     for kind in (gvt, flight):
-        kind.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="what the modes are written into")
+        default = _DRAFT if kind is gvt else "the recording's own"
+        kind.add_argument("--airframe", metavar="NAME", help=f"what the modes are written into (default: {default})")
         kind.add_argument("--out", type=Path, default=Path("out/identify"), metavar="FOLDER", help="where to write")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Identify, print a table, write airframe, figures and numbers."""
     require_report()
-    base = load_airframe(options.airframe)
+    base = None if options.airframe is None else load_airframe(options.airframe)
     make_folder(options.out)
     if options.kind == "gvt":
-        return _from_test(options, base)
+        return _from_test(options, base or load_airframe(_DRAFT))
     return _from_flight(options, base)
 
 
@@ -113,8 +116,9 @@ def _print_factors(base: Airframe, airframe: Airframe, bending: list[BendingMode
     print("note: air adds to the damping; `spanwise identify flight` measures it")
 
 
-def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
+def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
     recording = open_recording(options.recording, base)
+    into = base or recording.airframe  # a log's sensors are as it holds them, not as they are mounted
     motion = wing_motion(recording.records(), recording.airframe, recording.hub)
     modes = motion.modes(tuple(options.band))
     plain = {
@@ -135,13 +139,13 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
     if not all(modes.values()):
         print("not both families show a mode: no airframe written")
         return NOTHING_TO_ESTIMATE
-    wing = recording.airframe.wing
+    wing = into.wing
     bent = dataclasses.replace(
         wing,
         symmetric=_with(wing.symmetric, modes["symmetric"][0]),
         antisymmetric=_with(wing.antisymmetric, modes["antisymmetric"][0]),
     )
-    _write(dataclasses.replace(recording.airframe, wing=bent), options.out)
+    _write(dataclasses.replace(into, wing=bent), options.out)
     return 0
 
 

@@ -10,12 +10,14 @@ import pytest
 from scipy.linalg import expm
 
 from companion.calibration.ambient import ambient_modes
+from companion.calibration.flight_modes import _shared
 from companion.calibration.modes import FrequencyResponse, IdentifiedMode, assurance, identify_runs, residues
 from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response
 from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
 from companion.errors import ConfigError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
+from companion.records import Station
 
 SPANS_M = (0.4, 0.6, 0.8, 1.0, 1.2)
 CHORD_M = 0.12
@@ -226,3 +228,21 @@ def test_a_steady_tone_is_no_mode_of_the_wing() -> None:
     wing = _gust_driven(3, ((7.3, 0.01, 1.0),), 60.0)
     (mode,) = (mode for mode in ambient_modes(wing[:, np.newaxis], 200.0, (2.0, 40.0)) if mode.frequency_hz < 10.0)
     assert mode.resolved
+
+
+def test_the_longest_segment_holds_no_gap_of_any_station() -> None:
+    """One gap within another's, and one that began before the last station did."""
+    second = 1_000_000_000
+    grid = np.arange(0, 60 * second, second // 100)
+    values = np.zeros((len(grid), 6))
+
+    def without(*gaps: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+        keep = np.ones(len(grid), dtype=bool)
+        for start_s, end_s in gaps:
+            keep &= (grid <= start_s * second) | (grid >= end_s * second)
+        return grid[keep], values[keep]
+
+    nested = {Station.ROOT: without((10.0, 40.0)), Station.LEFT: without((12.0, 13.0)), Station.RIGHT: without()}
+    assert np.array(_shared(nested)) == pytest.approx([40.0 * second, 59.99 * second])
+    early = {Station.ROOT: without((5.0, 30.0)), Station.LEFT: without((-1.0, 8.0)), Station.RIGHT: without()}
+    assert np.array(_shared(early)) == pytest.approx([30.0 * second, 59.99 * second])

@@ -71,12 +71,17 @@ class SampleWindow:
         """Samples (n, 6) of every station that arrived since."""
         return {station: self._joined(station, from_ns)[1] for station in Station}
 
-    def turned_rad(self, from_ns: int, column: int) -> dict[Station, float]:
-        """Integral of a rate since then, rad; the stamps of a sensor are of its own clock, whose steps are true."""
+    def turned_rad(self, from_ns: int, column: int, at_rest_radps: dict[Station, float]) -> dict[Station, float]:
+        """Integral since then of a rate beyond that at rest, rad.
+
+        The stamps of a sensor are of its own clock, whose steps are true. A gyro that shows 0.5 degrees a second at
+        rest turns by itself through 8 in the time that a hand needs.
+        """
         result = {}
         for station in Station:
             t_ns, values = self._joined(station, from_ns)
-            result[station] = float(np.trapezoid(values[:, column], t_ns * 1e-9)) if len(t_ns) > 1 else 0.0
+            rate_radps = values[:, column] - at_rest_radps[station]
+            result[station] = float(np.trapezoid(rate_radps, t_ns * 1e-9)) if len(t_ns) > 1 else 0.0
         return result
 
     def _joined(self, station: Station, from_ns: int) -> tuple[Floats, Floats]:
@@ -173,12 +178,13 @@ class WingGuide:
 
     def _tilted(self, tilt: Tilt) -> list[GuideStep]:
         self._still()
-        before = self._rest()
+        before, rates = self._rest(), self._rest(slice(3, 6))
+        at_rest_radps = {station: float(rate[tilt.value - 3]) for station, rate in rates.items()}
         began_ns = self._clock.now_ns()
         self._say(f"tilt the aircraft, {tilt.words}, by some 25 degrees, and hold it still")
         self._until(lambda: self._has_tilted(before[Station.ROOT]) and self._is_still(), "it was not tilted and held")
         self._listen(_WINDOW_NS)  # the hand comes to rest
-        after, turned = self._rest(), self._window.turned_rad(began_ns, tilt.value)
+        after, turned = self._rest(), self._window.turned_rad(began_ns, tilt.value, at_rest_radps)
         judged = judge_tilt(before, after, turned, self._window.axes, tilt)
         self._say("back to level")
         self._until(lambda: not self._has_tilted(before[Station.ROOT]) and self._is_still(), "it was not laid level")
@@ -211,10 +217,10 @@ class WingGuide:
     def _is_still(self) -> bool:
         return is_still(self._window.values(self._clock.now_ns() - _WINDOW_NS))
 
-    def _rest(self) -> dict[Station, Floats]:
-        """Mean specific force of the last second (3,), m/s^2."""
+    def _rest(self, columns: slice = slice(0, 3)) -> dict[Station, Floats]:
+        """Mean of the last second (3,): specific force, m/s^2, or the rates, rad/s."""
         values = self._window.values(self._clock.now_ns() - _WINDOW_NS)
-        return {station: np.asarray(each[:, :3].mean(axis=0)) for station, each in values.items()}
+        return {station: np.asarray(each[:, columns].mean(axis=0)) for station, each in values.items()}
 
     def _tap_since(self, began_ns: int) -> bool:
         peaks = tap_peaks(self._window.values(began_ns))
