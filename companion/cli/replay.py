@@ -89,7 +89,7 @@ def execute(options: argparse.Namespace) -> int:
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
-    is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
+    is_own_format = recording.hub is ClockName.HOST and isinstance(recording, McapRecording)
     same_beliefs = not options.airframe and settings == recording.settings and _begins_with_the_service(recording)
     counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
@@ -103,7 +104,7 @@ def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:
         The recording is not one of ours.
     """
     recording = open_recording(path, None)
-    if recording.hub is not ClockName.HOST or path.suffix != ".mcap":
+    if recording.hub is not ClockName.HOST or not isinstance(recording, McapRecording):
         raise RecordingError(f"{path}: only recordings of Spanwise hold the pairs that ranges are made of")
     now_ns = [0]
     settings = trial.over(recording.settings)

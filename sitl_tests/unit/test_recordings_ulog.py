@@ -25,6 +25,7 @@ FORMATS = {
     "vehicle_imu": "uint64_t timestamp;uint64_t timestamp_sample;float[3] delta_angle;float[3] delta_velocity;"
     "uint32_t delta_angle_dt;uint32_t delta_velocity_dt;",
     "vehicle_attitude": "uint64_t timestamp;float[4] q;",
+    "vehicle_land_detected": "uint64_t timestamp;bool landed;",
 }
 LAYOUTS = {
     "sensor_accel": "<QQfff",
@@ -32,6 +33,7 @@ LAYOUTS = {
     "sensor_combined": "<Qfffifff",
     "vehicle_imu": "<QQ6fII",
     "vehicle_attitude": "<Qffff",
+    "vehicle_land_detected": "<Q?",
 }
 
 
@@ -162,3 +164,15 @@ def test_slow_or_missing_sensors_are_named(tmp_path: Path) -> None:
         opened(tmp_path, log.data)
     with pytest.raises(RecordingError, match="cannot be read as a ULog"):
         opened(tmp_path, b"ULog\x01\x12\x35\x01\0\0")
+
+
+def test_whether_it_is_on_the_ground_is_what_px4_detected(tmp_path: Path) -> None:
+    log = Log(("sensor_combined", 0), ("vehicle_attitude", 0), ("vehicle_land_detected", 0))
+    for k in range(40):
+        log.add("sensor_combined", 0, 10_000 + 1000 * k, 0.1, 0.2, 0.3, -500, 0.0, 0.0, -9.8)
+    log.add("vehicle_land_detected", 0, 11_000, True)
+    log.add("vehicle_attitude", 0, 20_000, 1.0, 0.0, 0.0, 0.0)
+    log.add("vehicle_land_detected", 0, 25_000, False)
+    log.add("vehicle_attitude", 0, 36_000, 1.0, 0.0, 0.0, 0.0)
+    recording = opened(tmp_path, log.data)
+    assert [state.on_ground for state in recording.records() if isinstance(state, VehicleState)] == [True, False]

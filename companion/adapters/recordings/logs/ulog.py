@@ -34,6 +34,7 @@ _TOPICS = [
     "vehicle_attitude",
     "vehicle_local_position",
     "vehicle_status",
+    "vehicle_land_detected",
     "airspeed",
     "airspeed_validated",
 ]
