@@ -122,3 +122,12 @@ def test_disagreement_is_a_standard_normal_where_all_agree(count: int) -> None:
     z = np.array([disagreement(sigma * rng.standard_normal(count), sigma) for _ in range(1000)])
     assert abs(z.mean()) < 0.15
     assert z.std() == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_was_not_noted_of_every_run_explains_nothing_and_stops_nothing() -> None:
+    runs = [
+        run_of(k + 1, f, **({} if k == 2 else {"position_m": x}))
+        for k, (f, x) in enumerate(zip(MOVED_HZ, POSITIONS_M, strict=True))
+    ]
+    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], lambda _what, _ratio: None)
+    assert diagnosis.outcome.verdict is DiagnosisVerdict.UNEXPLAINED

@@ -115,7 +115,8 @@ def _changed(mode: ModeOverRuns, constants: Sequence[Mapping[str, float]]) -> Ch
     f_hz = mode.frequency_hz
     first = _end_of_steady(f_hz, mode.sigma_hz)
     last = int(np.argmax(np.abs(f_hz - f_hz[: first + 1].mean())))
-    names = [name for name in constants[0] if name != ORDER and len({run.get(name) for run in constants}) > 1]
+    every = [name for name in constants[0] if name != ORDER and all(name in run for run in constants)]
+    names = [name for name in every if len({run[name] for run in constants}) > 1]
     channels = tuple(_channel(name, [float(run[name]) for run in constants], mode) for name in names)
     return ChangedMode(mode, first, last, channels)
 
