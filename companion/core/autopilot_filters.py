@@ -70,7 +70,7 @@ class VehicleFilters:
 
     def _forget_other_firmware(self, name: str) -> None:
         """Forget what an autopilot of the other kind told, in whose place this one is."""
-        if any((told == _PX4S) != (name == _PX4S) for told in self.values):
+        if any((earlier == _PX4S) != (name == _PX4S) for earlier in self.values):
             self.values.clear()
             self._last.clear()
             self._of_another = True

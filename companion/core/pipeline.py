@@ -49,7 +49,7 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between (derived)
-_RANGE_LASTS_NS = 2_000_000_000  # as the gate of ranges remembers them (core/stereo/consistency_gate.py)
+_RANGE_LASTS_NS = 2_000_000_000  # chosen: as the gate remembers ranges (core/stereo/consistency_gate.py)
 # two seconds: a 3 Hz wing of 3 % damping has lost two thirds of what the wheels and the rotation shook it by (derived)
 _LIFT_OFF_NS = 2_000_000_000
 _BY_PIN = "exposures stamped by the autopilot"

@@ -15,7 +15,7 @@ def status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Records that tell how the service is: each clock, the trigger's latency, why no range comes, health."""
     health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
-    clocks = [known if known.at_host_ns else dataclasses.replace(known, at_host_ns=now_ns) for known in clocks]
+    clocks = [clock if clock.at_host_ns else dataclasses.replace(clock, at_host_ns=now_ns) for clock in clocks]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
     say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
     return [

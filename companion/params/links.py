@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from companion.errors import LinkError
 
-_LAST_PORT = 65535  # two bytes of a TCP or UDP header (RFC 768)
+_LAST_PORT = 65535  # by definition: two bytes of a header (RFC 768)
 DEFAULT_BAUD = 115200
 """Bits per second of a serial device whose rate is left out (a convention of pymavlink's)."""
 

@@ -296,6 +296,6 @@ def test_no_state_of_a_clock_is_of_no_time() -> None:
     assert bank.exchange(late).at_host_ns == 6_500_000_000
     state = start(load_airframe("nadir-2m"), Settings())
     _, outputs = step(state, Tick(7_000_000_000))
-    told = [record for record in outputs if isinstance(record, ClockState)]
-    assert told
-    assert all(record.at_host_ns == 7_000_000_000 for record in told)
+    clocks = [record for record in outputs if isinstance(record, ClockState)]
+    assert clocks
+    assert all(record.at_host_ns == 7_000_000_000 for record in clocks)
