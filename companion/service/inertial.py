@@ -112,9 +112,8 @@ class InertialLoop:
         self.overloads.pop(overload.who, None)
         if overload.text:
             self.overloads[overload.who] = overload.text
-        self._route(
-            Notice(Severity.WARNING if overload.text else Severity.INFO, overload.sentence, self.clock.now_ns())
-        )
+        severity = Severity.WARNING if overload.text else Severity.INFO
+        self._route(Notice(severity, overload.sentence, self.clock.now_ns()))
 
     def _handle(self, record: Record) -> None:
         if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
@@ -131,9 +130,8 @@ class InertialLoop:
 
     def _route(self, output: Record) -> None:
         self.recorder.write(output)
-        if (
-            isinstance(output, ServiceStatus) and self.overloads
-        ):  # the machine's, not the estimation's: a replay has none
+        # the machine's, not the estimation's: a replay has none
+        if isinstance(output, ServiceStatus) and self.overloads:
             reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.overloads.values())])
             output = dataclasses.replace(output, reason=reason)
         if isinstance(output, ServiceStatus):

@@ -59,7 +59,7 @@ class TickPace:
         self._ticks = 0
 
     def ticked(self, now_host_ns: int) -> Overload | None:
-        """Take a tick; a overload where that begins or ends."""
+        """Take a tick; an overload where that begins or ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
             return None
@@ -94,7 +94,7 @@ class VisionPace:
         self._waited_ns = max(self._waited_ns, waited_ns)
 
     def looked(self, now_host_ns: int) -> Overload | None:
-        """Judge, when a window is over; a overload where that begins or ends."""
+        """Judge, when a window is over; an overload where that begins or ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
         passed_ns = now_host_ns - self._since_ns

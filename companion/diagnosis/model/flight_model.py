@@ -30,9 +30,8 @@ from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
 _LOW = 0.15  # of the first symmetric frequency: lower edge of the band (choice)
-_LOW_UNDER_ROLL = (
-    0.4  # the same where the aircraft's roll was not recorded, which no tip can tell from the wing (choice)
-)
+# the same where no gyro recorded the aircraft's roll, which no tip can tell from the wing (choice)
+_LOW_UNDER_ROLL = 0.4
 _UNIT = 1e-3  # prior sigmas, for a difference quotient (numerical)
 _NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off (choice)
 
