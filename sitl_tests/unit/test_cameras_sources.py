@@ -96,7 +96,7 @@ def test_a_device_without_frames_is_gone_unless_it_waits_for_a_trigger(
         def __init__(self, source: object) -> None:
             self.source = source
 
-        def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        def isOpened(self) -> bool:
             return True
 
         def grab(self) -> bool:
