@@ -20,6 +20,7 @@ from companion.errors import LinkError
 from companion.params.files import load_airframe
 from companion.records import ClockName, Station
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.worlds import IDEAL
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.world import VehicleLink, World, WorldOptions, serve, serve_new
 
@@ -394,7 +395,7 @@ def test_a_process_of_its_own_serves_udp_in_real_time() -> None:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     options = WorldOptions(f"udpout:127.0.0.1:{listener.getsockname()[1]}")
-    process = context.Process(target=serve_new, args=(load_airframe("nadir-2m"), 1, 4.0, options, theirs))
+    process = context.Process(target=serve_new, args=(load_airframe("nadir-2m"), 1, 4.0, IDEAL, options, theirs))
     process.start()
     parser, lags = mavlink.MAVLink(None), []
     clock = build_flight(load_airframe("nadir-2m"), 1, 4.0).real.clocks[ClockName.NODE_LEFT]

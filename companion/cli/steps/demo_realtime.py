@@ -20,6 +20,7 @@ from typing import Any
 
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View
+from companion.errors import DeviceError
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from companion.sim.flight.flight import Flight
@@ -41,13 +42,21 @@ class SimulatedVehicle:
     scene: Scene
     control: Connection
     folder: Path
+    aircraft: BaseProcess
     start_host_ns: int = 0
     report: dict[str, Any] = field(default_factory=dict)
     cameras: BaseProcess | None = None
     over_s: float | None = None
 
     def ended(self) -> bool:
-        """Tend the processes; True a little after the flight, so that the last shots get through the smoother's lag."""
+        """Tend the processes; True a little after the flight, so that the last shots get through the smoother's lag.
+
+        Raises
+        ------
+        DeviceError
+            The aircraft's process has ended without a report.
+        """
+        alive = self.aircraft.is_alive()
         while self.control.poll(0):
             kind, content = self.control.recv()
             if kind == "started":
@@ -55,6 +64,8 @@ class SimulatedVehicle:
                 self._open_eyes()
             else:
                 self.report, self.over_s = content, time.monotonic()
+        if not alive and self.over_s is None:
+            raise DeviceError(f"the simulated aircraft's process has ended ({self.aircraft.exitcode})")
         return self.over_s is not None and time.monotonic() - self.over_s > _SETTLE_S
 
     def _open_eyes(self) -> None:
@@ -95,12 +106,11 @@ def _vehicle(flight: Flight, port: int, folder: Path) -> Iterator[SimulatedVehic
     waiting = WorldOptions(connection=f"udpout:127.0.0.1:{port}", wait_s=_START_S)
     world = spawn.Process(
         target=serve_new,
-        args=(flight.airframe, flight.seed, flight.duration_s, waiting, theirs),
-        kwargs={"world": flight.world},
+        args=(flight.airframe, flight.seed, flight.duration_s, flight.world, waiting, theirs),
         name="sim-world",
     )
     world.start()
-    vehicle = SimulatedVehicle(flight, scene_of(flight), ours, folder)
+    vehicle = SimulatedVehicle(flight, scene_of(flight), ours, folder, world)
     try:
         yield vehicle
     finally:

@@ -19,6 +19,7 @@ from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe
 from companion.params.links import LinkKind, parse_link
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.worlds import Conditions
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
 from companion.sim.vehicle.command_protocol import CommandProtocol
 from companion.sim.vehicle.faults import Faults, Wire
@@ -212,10 +213,12 @@ def serve(
     return report
 
 
-def serve_new(airframe: Airframe, seed: int, duration_s: float, options: WorldOptions, control: Control) -> None:
+def serve_new(
+    airframe: Airframe, seed: int, duration_s: float, conditions: Conditions, options: WorldOptions, control: Control
+) -> None:
     """Entry of a process of its own: build the flight from its seed and serve it."""
     die_with_parent()
-    serve(build_flight(airframe, seed, duration_s), options, control)
+    serve(build_flight(airframe, seed, duration_s, world=conditions), options, control)
 
 
 def _pulses(path: Path, start_ns: int, speed: float) -> Trigger:
