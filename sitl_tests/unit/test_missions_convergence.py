@@ -163,12 +163,12 @@ def test_errors_that_a_run_shares_do_not_shrink_with_its_groups() -> None:
 
 
 def test_a_camera_that_shows_less_of_the_tips_slope_needs_more_trim_for_the_same_toe() -> None:
-    whole = load_airframe("nadir-2m")
-    cameras = [dataclasses.replace(camera, slope_gain=0.8) for camera in whole.camera_pair]
-    inboard = dataclasses.replace(whole, left_camera=cameras[0], right_camera=cameras[1])
+    outboard = load_airframe("nadir-2m")
+    cameras = [dataclasses.replace(camera, slope_gain=0.8) for camera in outboard.camera_pair]
+    inboard = dataclasses.replace(outboard, left_camera=cameras[0], right_camera=cameras[1])
     offset = Offset(0.002, 0.0002, 1.0, math.inf, 1.0)
     moved = [
         advise(each, offset).values["wing.trim_bend_m"]["value"] - each.wing.trim_bend_m.value  # type: ignore[index]
-        for each in (whole, inboard)
+        for each in (outboard, inboard)
     ]
     assert moved[1] == pytest.approx(moved[0] / 0.8)
