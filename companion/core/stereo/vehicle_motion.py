@@ -101,9 +101,7 @@ class VehicleTrack:
 
     def _over_ground(self, t_host_ns: int, around: list[VehicleState]) -> VehicleMotion:
         """Velocity as the navigation filter has it, turned into body axes by its attitude."""
-        roll_rad, pitch_rad = (self._at(t_host_ns, quantity) for quantity in (_roll, _pitch))
-        yaws_rad = np.unwrap([state.yaw_rad for state in self._states])
-        yaw_rad = float(np.interp(0.0, self._since_s(t_host_ns), yaws_rad))
+        roll_rad, pitch_rad, yaw_rad = (self._at(t_host_ns, quantity) for quantity in (_roll, _pitch, _yaw))
         since_s = [1e-9 * (state.received_host_ns - t_host_ns) for state in around]
         ned_mps = np.array([state.velocity_ned_mps for state in around], dtype=np.float64)
         velocity_mps = np.array([np.interp(0.0, since_s, axis) for axis in ned_mps.T])
@@ -124,7 +122,7 @@ class VehicleTrack:
 
     def _at(self, t_host_ns: int, quantity: Callable[[VehicleState], float]) -> float:
         values = [quantity(state) for state in self._states]
-        values = np.unwrap(values).tolist() if quantity is _roll else values
+        values = np.unwrap(values).tolist() if quantity in (_roll, _yaw) else values
         return float(np.interp(0.0, self._since_s(t_host_ns), values))
 
     def _since_s(self, t_host_ns: int) -> list[float]:
@@ -145,6 +143,10 @@ def _roll(state: VehicleState) -> float:
 
 def _pitch(state: VehicleState) -> float:
     return state.pitch_rad
+
+
+def _yaw(state: VehicleState) -> float:
+    return state.yaw_rad
 
 
 @dataclass(slots=True)
