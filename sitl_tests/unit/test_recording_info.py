@@ -175,21 +175,18 @@ def test_what_is_refused_after_the_last_sample_is_the_end_and_no_stopped_stream(
     assert info.refused() == {AT_THE_END: 1, "stream stopped": 1}
 
 
-def test_a_log_without_the_wing_says_which_command_cannot_use_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("station", "sentence"),
+    [
+        (Station.ROOT, "not for spanwise diagnose, which needs samples of a wing tip"),
+        (Station.LEFT, "spanwise diagnose (has wing sensors alone: without a root"),
+    ],
+)
+def test_a_log_of_one_station_says_what_diagnose_can_make_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], station: Station, sentence: str
 ) -> None:
-    writer = McapWriter(tmp_path / "root.mcap", About.of(AIRFRAME, Settings()))
-    writer.write(batch(Station.ROOT, 0, 1000))
+    writer = McapWriter(tmp_path / "one.mcap", About.of(AIRFRAME, Settings()))
+    writer.write(batch(station, 0, 1000))
     writer.close()
-    assert main(["info", str(tmp_path / "root.mcap")]) == 0
-    assert "not for spanwise diagnose, which needs samples of a wing tip" in capsys.readouterr().out
-
-
-def test_a_recording_of_the_tips_alone_can_be_diagnosed_and_says_what_stays_in_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    writer = McapWriter(tmp_path / "tips.mcap", About.of(AIRFRAME, Settings()))
-    writer.write(batch(Station.LEFT, 0, 1000))
-    writer.close()
-    assert main(["info", str(tmp_path / "tips.mcap")]) == 0
-    assert "spanwise diagnose (has wing sensors alone: without a root" in capsys.readouterr().out
+    assert main(["info", str(tmp_path / "one.mcap")]) == 0
+    assert sentence in capsys.readouterr().out
