@@ -20,6 +20,7 @@ from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, s
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.numbered_files import numbered_files
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.learned import keep_latency, load_latency, with_latency
@@ -199,8 +200,8 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
 
 def _recordings(path: Path | None) -> dict[Path, int]:
     """Recordings of that name and their numbered successors, with the instants of their last change."""
-    files = path.parent.glob(f"{path.stem}*{path.suffix}") if path is not None else ()
-    return {entry: entry.stat().st_mtime_ns for entry in files}
+    files = numbered_files(path) if path is not None else ()
+    return {entry: entry.stat().st_mtime_ns for _, entry in files}
 
 
 def _recorded(path: Path, before: dict[Path, int]) -> str:

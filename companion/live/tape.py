@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.mcap.channels import Recordable
-from companion.adapters.recordings.mcap.recorder import free_path
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
+from companion.numbered_files import free_path
 
 _NAME = "live.mcap"
 _SUFFIX = ".mcap"

@@ -17,15 +17,6 @@ _V1, _V2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _STOP_S = 20.0
 
 
-def unused(path: Path) -> Path:
-    """The path, or with the next free number where an earlier flight has it: ``flight.2.tlog``."""
-    number, chosen = 1, path
-    while chosen.exists():
-        number += 1
-        chosen = path.with_suffix(f".{number}{path.suffix}")
-    return chosen
-
-
 class Tap:
     """Writes every MAVLink frame of a link to a tlog. The bytes come from MAVSDK's callback thread.
 

@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
 
+from companion.numbered_files import free_path
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from mission_scripts.common.flight import Flight, Log, safe_order
 from mission_scripts.common.guard import Guard
 from mission_scripts.common.options import limits_from
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, MissionError, Refused, Response
-from mission_scripts.common.recording import ServiceRecorder, Tap, tap_is_enough, unused
+from mission_scripts.common.recording import ServiceRecorder, Tap, tap_is_enough
 from mission_scripts.common.vehicle import LOITER, RTL, NotAccepted, Vehicle, check_kind
 from mission_scripts.common.watch import Watch
 
@@ -39,7 +40,7 @@ def run(options: argparse.Namespace, mission: Mission) -> int:
     except (Refused, OSError) as error:
         print(f"refused: {error}")
         return Exit.REFUSED
-    log = Log(unused(options.out / "mission.log"))
+    log = Log(free_path(options.out / "mission.log"))
     try:
         with _interrupts() as interrupted:
             return _recorded(options, airframe, mission, log, interrupted)
@@ -49,12 +50,12 @@ def run(options: argparse.Namespace, mission: Mission) -> int:
 
 def _recorded(options: argparse.Namespace, airframe: Airframe, mission: Mission, log: Log, interrupted: Event) -> int:
     """Fly with the recordings open; close them whatever happens."""
-    tap = None if options.no_tap else Tap(unused(options.out / "flight.tlog"))
+    tap = None if options.no_tap else Tap(free_path(options.out / "flight.tlog"))
     service: ServiceRecorder | None = None
     code = Exit.REFUSED
     try:
         if options.service is not None:
-            service = ServiceRecorder(options.service, options.airframe, unused(options.out / "flight.mcap"))
+            service = ServiceRecorder(options.service, options.airframe, free_path(options.out / "flight.mcap"))
             log.say(f"spanwise run records on {options.service}")
         code = _connected(options, airframe, mission, log, interrupted, tap)
     except (Refused, FileNotFoundError) as error:
@@ -68,7 +69,7 @@ def _recorded(options: argparse.Namespace, airframe: Airframe, mission: Mission,
         if service is not None:
             log.say("waiting for the service to finish its recording")
             service.close()
-    _tell_recordings(log, options, airframe, tap, service)
+    _log_recordings(log, options, airframe, tap, service)
     return code
 
 
@@ -169,7 +170,7 @@ def _airframe(name: str) -> Airframe:
         raise Refused(str(error)) from error
 
 
-def _tell_recordings(
+def _log_recordings(
     log: Log, options: argparse.Namespace, airframe: Airframe, tap: Tap | None, service: ServiceRecorder | None
 ) -> None:
     """Say which file to go on with, and how."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from sitl_tests.architecture.sources import ROOT, offences, python_files, tree_of
 
 ANY = frozenset({"*"})  # every room of the package and the mission scripts, or every third party
-EVERYWHERE = frozenset({"units", "rate_limiter"})  # importable by every room
+EVERYWHERE = frozenset({"units", "rate_limiter", "numbered_files"})  # importable by every room
 
 # what judges a flight or a paper: everything below it, and the reporting room
 _JUDGES = frozenset(
@@ -22,6 +22,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.errors": (frozenset(), frozenset({"numpy"})),
     "companion.units": (frozenset(), frozenset()),
     "companion.rate_limiter": (frozenset(), frozenset()),
+    "companion.numbered_files": (frozenset(), frozenset()),
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
     "companion.lifetime": (frozenset(), frozenset()),
     "companion.native": (frozenset({"native", "errors"}), frozenset({"numpy"})),

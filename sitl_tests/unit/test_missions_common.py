@@ -22,7 +22,7 @@ from mission_scripts.common.legs import back_and_forth
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Response
 from mission_scripts.common.places import Place, Route, parse_place
-from mission_scripts.common.recording import Tap, unused
+from mission_scripts.common.recording import Tap
 from mission_scripts.common.run import _fly, make_safe
 from mission_scripts.common.vehicle import LOITER, RTL
 from mission_scripts.common.watch import Range, Watch
@@ -303,13 +303,3 @@ def _engaged(watch: Watch) -> tuple[Any, list[int]]:
         hear=lambda: None, where=lambda: "here",
     )  # fmt: skip
     return flight, orders
-
-
-def test_an_earlier_flight_keeps_its_files(tmp_path: Path) -> None:
-    path = tmp_path / "flight.tlog"
-    assert unused(path) == path
-    path.write_bytes(b"the first")
-    second = unused(path)
-    assert second.name == "flight.2.tlog"
-    second.write_bytes(b"the second")
-    assert unused(path).name == "flight.3.tlog"

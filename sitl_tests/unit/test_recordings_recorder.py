@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.recorder import free_path, keep_recording
+from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
+from companion.numbered_files import free_path
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Notice, RawChunk, Side, Tick
@@ -111,6 +112,7 @@ def test_a_recorder_started_again_goes_on_with_the_next_whole_batch() -> None:
 def test_an_existing_file_is_never_written_over(tmp_path: Path) -> None:
     assert free_path(tmp_path / "a.mcap") == tmp_path / "a.mcap"
     (tmp_path / "a.mcap").write_bytes(b"old")
+    assert free_path(tmp_path / "a.mcap") == tmp_path / "a.2.mcap"
     (tmp_path / "a.2.mcap").write_bytes(b"old")
     assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap"
     (tmp_path / "a.mcap").unlink()

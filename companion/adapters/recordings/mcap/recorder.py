@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import selectors
 import signal
 import socket
@@ -15,6 +14,7 @@ from pathlib import Path
 from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderReceiver
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
+from companion.numbered_files import free_path, remove_oldest
 
 _IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
 _IDLE_ROUNDS = 4  # waits without a record before the recorder ends (choice)
@@ -142,28 +142,3 @@ def _write(writer: McapWriter, batch: Batch) -> None:
         writer.note_drops(batch.dropped)  # first: what was dropped may have been between the records of this batch
     for record in batch.records:
         writer.write(record)
-
-
-def free_path(path: Path) -> Path:
-    """The path itself, or ``name.2.mcap``, ``name.3.mcap`` and so on behind the highest number that is there."""
-    numbers = [number for number, _ in _family(path)]
-    return path.with_name(f"{path.stem}.{max(numbers) + 1}{path.suffix}") if numbers else path
-
-
-def remove_oldest(path: Path, most_bytes: int) -> None:
-    """Remove the oldest recordings of this name until the others together take at most ``most_bytes``."""
-    family = sorted(_family(path))
-    total = sum(file.stat().st_size for _, file in family)
-    for _, file in family:
-        if total <= most_bytes:
-            return
-        total -= file.stat().st_size
-        file.unlink(missing_ok=True)
-
-
-def _family(path: Path) -> list[tuple[int, Path]]:
-    """Recordings of this name with their numbers, in no order."""
-    pattern = re.compile(rf"{re.escape(path.stem)}(?:\.(\d{{1,9}}))?{re.escape(path.suffix)}")
-    files = path.parent.iterdir() if path.parent.is_dir() else ()
-    fits = ((pattern.fullmatch(file.name), file) for file in files)
-    return [(int(match[1] or 1), file) for match, file in fits if match is not None and file.exists()]
