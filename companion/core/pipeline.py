@@ -16,6 +16,7 @@ from companion.core.clock.motion_alignment import SIGMAS, lowpass_delay_s
 from companion.core.pipeline_state import PipelineState, start
 from companion.core.pipeline_status import status, tracked, unlearned
 from companion.core.silence import TELLING
+from companion.core.stereo.consistency_gate import RANGE_MEMORY_NS
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
 from companion.core.tracking.tracker import WingTracker
@@ -49,7 +50,6 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between (derived)
-_RANGE_LASTS_NS = 2_000_000_000  # chosen: as the gate remembers ranges (core/stereo/consistency_gate.py)
 # two seconds: a 3 Hz wing of 3 % damping has lost two thirds of what the wheels and the rotation shook it by (derived)
 _LIFT_OFF_NS = 2_000_000_000
 _BY_PIN = "exposures stamped by the autopilot"
@@ -317,7 +317,7 @@ def _motion(state: PipelineState, now_ns: int) -> GroundMotion:
     So does a range of some time ago: after a go-around one of 10 m would forbid every shot, and with it a newer range.
     """
     measured = state.correction.last_trusted if state.correction else None
-    if state.vehicle is None or measured is None or now_ns - measured.t_host_ns > _RANGE_LASTS_NS:
+    if state.vehicle is None or measured is None or now_ns - measured.t_host_ns > RANGE_MEMORY_NS:
         return GroundMotion()
     return GroundMotion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
 

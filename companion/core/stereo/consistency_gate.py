@@ -20,9 +20,10 @@ from companion.records import Bools, CorrectedRange, Floats, Ints, Reject
 
 KNOCK_RAD = 0.005
 """How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras (choice)."""
+RANGE_MEMORY_NS = 2_000_000_000
+"""How long a range says something of the surface at flight speed (choice)."""
 _CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ranges (choice)
 _AGREEING_TO_TRUST = 3  # three in a row: one wrong range never has two accomplices by chance (choice)
-_FORGET_NS = 2_000_000_000  # older ranges say nothing of a surface at flight speed (choice)
 _FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one (choice)
 _CONFIRMED_SIGMAS = 2.0  # for the first one by a toe learnt anew: of honest ones 95 % pass at once (choice)
 _AGREEING_ANEW = 2  # otherwise: what one pair's matches tell of the toe, another's must confirm (choice)
@@ -152,7 +153,7 @@ class RangeGate:
             return measured
         level = _RangeAt(measured.t_host_ns, measured.range_m, measured.sigma_m, min(lasting_m, measured.sigma_m))
         moving = _Moving(self.closing_mps_per_climb * climb_mps, slack_mps)
-        follows = self._last is not None and level.t_ns - self._last.t_ns < _FORGET_NS
+        follows = self._last is not None and level.t_ns - self._last.t_ns < RANGE_MEMORY_NS
         agrees = follows and moving.agree(self._last, level)
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._last = level
@@ -167,7 +168,7 @@ class RangeGate:
             return several
         if moving.agree(self._trusted, level) and not self._stays_apart(level, moving):
             self._departed, self._apart = None, 0
-            fresh = level.t_ns - self._trusted.t_ns < (_FORGET_NS if self._reopened else _FRESH_NS)
+            fresh = level.t_ns - self._trusted.t_ns < (RANGE_MEMORY_NS if self._reopened else _FRESH_NS)
             confirmed = self._agreeing >= _AGREEING_ANEW or moving.confirms(self._trusted, level)
             return several or (fresh and (confirmed or not self._reopened))
         if self._departed is None or self._agreeing == 1:
