@@ -57,11 +57,11 @@ def sweep(flight: Flight) -> Exit:
     flight.leave()
     if options.no_ranges:
         return Exit.DONE
-    trusted_counts = [_tell(flight, leg, spans.get(leg.item, [])) for leg in legs]
+    trusted_counts = [_summarise_leg(flight, leg, spans.get(leg.item, [])) for leg in legs]
     return Exit.DONE if any(trusted_counts) else Exit.NOTHING
 
 
-def _tell(flight: Flight, leg: Leg, span: list[float]) -> int:
+def _summarise_leg(flight: Flight, leg: Leg, span: list[float]) -> int:
     """One row of the table; gives the number of trusted ranges."""
     began, ended = (span[0], span[-1]) if span else (math.inf, -math.inf)
     on_leg = [entry for entry in flight.watch.ranges_since(began) if entry.at_s <= ended and _level(entry, leg)]

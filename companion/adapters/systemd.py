@@ -38,10 +38,10 @@ class ServiceManager:
         if self._socket is None:
             return
         if not self._is_ready:
-            self._is_ready = self._tell("READY=1")
-        if self._next_feed_ns is not None and now_host_ns >= self._next_feed_ns and self._tell("WATCHDOG=1"):
+            self._is_ready = self._notify("READY=1")
+        if self._next_feed_ns is not None and now_host_ns >= self._next_feed_ns and self._notify("WATCHDOG=1"):
             self._next_feed_ns = now_host_ns + self._interval_ns
-        if status != self._status and self._tell(_status(status)):
+        if status != self._status and self._notify(_status(status)):
             self._status = status
 
     def close(self) -> None:
@@ -49,7 +49,7 @@ class ServiceManager:
         if self._socket is not None:
             self._socket.close()
 
-    def _tell(self, lines: str) -> bool:
+    def _notify(self, lines: str) -> bool:
         assert self._socket is not None
         try:
             self._socket.sendto(lines.encode(), self._address)

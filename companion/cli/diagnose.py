@@ -81,7 +81,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
     else:
-        _tell(diagnosis, plain)
+        _print_findings(diagnosis, plain)
         if options.json:
             Path(options.json).write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
     if options.html:
@@ -98,7 +98,7 @@ def execute(options: argparse.Namespace) -> int:
     return NOTHING_TO_ESTIMATE if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
 
 
-def _tell(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:
+def _print_findings(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:
     print(f"verdict: {sentence(diagnosis)}")
     for line in plain["words"].values():
         print(f"  {line}")

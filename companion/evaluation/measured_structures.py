@@ -58,7 +58,7 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
     tables = tables_of(options.recordings, mapping)
     plain, make_page = _DIAGNOSED[mapping.test](tables, mapping, options, progress)
     plain["notes"] += [note for table in tables for note in table.notes]
-    write_findings(plain, options.json, options.html, _tell, make_page)
+    write_findings(plain, options.json, options.html, _print_findings, make_page)
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
     return NOTHING_TO_ESTIMATE if plain["verdict"] == "not-identifiable" else 0
@@ -177,7 +177,7 @@ def _band(mapping: TableMapping) -> tuple[float, float]:
     return mapping.band_hz
 
 
-def _tell(plain: dict[str, Any]) -> None:
+def _print_findings(plain: dict[str, Any]) -> None:
     print(f"verdict: {headline(plain)}")
     for cause in plain["causes"]:
         channel = f" ({cause['channel']})" if cause["channel"] else ""

@@ -125,7 +125,7 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
 def not_identifiable(timings: Sequence[Timing], options: argparse.Namespace, airframe: str) -> int:
     """Say what these recordings lack and how evenly they were sampled; invent nothing."""
     plain = _plain(timings, airframe)
-    write_findings(plain, options.json, options.html, _tell, lambda: _page(plain))
+    write_findings(plain, options.json, options.html, _print_findings, lambda: _page(plain))
     return NOTHING_TO_ESTIMATE
 
 
@@ -158,7 +158,7 @@ def _rows(plain: dict[str, Any]) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def _tell(plain: dict[str, Any]) -> None:
+def _print_findings(plain: dict[str, Any]) -> None:
     print(f"verdict: not identifiable from this recording: {plain['reason']}")
     for name, station, rate, steps, gaps, longest, segment in _rows(plain):
         count = f"{gaps} gap" if gaps == "1" else f"{gaps} gaps"

@@ -41,16 +41,16 @@ class Subject:
     """Content of the live view.
 
     ``title`` is what runs: "live", "demo", or the name of a recording. ``ask`` hands on the wish to set a parameter
-    (name, value), None where nothing can be set; ``heed`` is told the kinds of record that somebody looks at, as bits
-    of :data:`companion.live.feed.BIT`. ``began_host_ns`` is when the flight, the recording or the service began, None
-    where only its records tell. Without ``has_images`` no image can come.
+    (name, value), None where nothing can be set; ``request_topics`` is given the kinds of record that somebody looks
+    at, as bits of :data:`companion.live.feed.BIT`. ``began_host_ns`` is when the flight, the recording or the service
+    began, None where only its records tell. Without ``has_images`` no image can come.
     """
 
     airframe: Airframe
     settings: Settings
     title: str
     ask: Callable[[str, float], object] | None = None
-    heed: Callable[[int], object] = lambda _mask: None
+    request_topics: Callable[[int], object] = lambda _mask: None
     is_recording: bool = False
     kind: ViewKind = ViewKind.LIVE
     has_images: bool = True
@@ -74,7 +74,7 @@ class LiveSession:
         self._failure = self._ended = ""
         self._began_host_ns = subject.began_host_ns
         self._events: deque[Notice] = deque(maxlen=_MOST_EVENTS)
-        self._broadcaster = Broadcaster(lambda: self._settings.values(), self._heed)
+        self._broadcaster = Broadcaster(lambda: self._settings.values(), self._on_watched)
         access = Access(config.token, config.is_loopback, config.token_place)
         self._door = Door(listening, access, self._answer, self._broadcaster.port)
 
@@ -90,7 +90,7 @@ class LiveSession:
                 self._tape.write(record)
             except RecordingError as error:
                 self._failure = str(error)
-                self._tell()
+                self._request_topics()
 
     def tend(self) -> None:
         """Do what the page's buttons asked for; call it a few times a second."""
@@ -133,16 +133,16 @@ class LiveSession:
                 self._tape.end()
         except (RecordingError, OSError) as error:
             self._failure = str(error)
-        self._tell()
+        self._request_topics()
 
     # ------------------------------------------------------------------------------- in the servers' threads
 
-    def _heed(self, mask: int) -> None:
+    def _on_watched(self, mask: int) -> None:
         self._watched = mask
-        self._tell()
+        self._request_topics()
 
-    def _tell(self) -> None:
-        self._subject.heed(self._watched | ALWAYS | (TAPED if self._tape.is_on else 0))
+    def _request_topics(self) -> None:
+        self._subject.request_topics(self._watched | ALWAYS | (TAPED if self._tape.is_on else 0))
 
     def _answer(self, request: Request) -> HttpAnswer:
         """Answer one request of the page."""

@@ -279,7 +279,7 @@ def _live_process(
     _ignore_interrupt()
     assert config.live is not None
 
-    def heed(mask: int) -> None:
+    def request_topics(mask: int) -> None:
         interest.mask = mask
 
     subject = Subject(
@@ -287,7 +287,7 @@ def _live_process(
         settings=resumed(config.settings, stored_at_start, _stored(config)),
         title="live",
         ask=lambda name, value: say.send(ParameterRequest(name, value)),
-        heed=heed,
+        request_topics=request_topics,
         is_recording=config.recording is not None,
         has_images=config.cameras is not None,
         began_host_ns=began_ns,

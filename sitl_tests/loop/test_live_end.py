@@ -40,7 +40,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def watched(folder: Path, kind: ViewKind) -> Iterator[tuple[LiveSession, LiveClient, int]]:
     """A live view as a command serves it, and a client that follows its status."""
     masks: list[int] = []
-    subject = Subject(load_airframe("nadir-2m"), Settings(), "test", kind=kind, heed=masks.append)
+    subject = Subject(load_airframe("nadir-2m"), Settings(), "test", kind=kind, request_topics=masks.append)
     config = LiveConfig("127.0.0.1", free_port(socket.SOCK_STREAM), None, folder)
     with live_session(config, subject) as session:
         assert session is not None

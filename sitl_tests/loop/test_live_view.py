@@ -62,7 +62,7 @@ def make_view(folder: Path, token: str | None = None, *, can_set: bool = True, h
         Settings(),
         "test",
         ask=(lambda name, value: asked.append((name, value))) if can_set else None,
-        heed=masks.append,
+        request_topics=masks.append,
     )
     listening = listen(config)
     port = listening.getsockname()[1]

@@ -88,12 +88,3 @@ class TruthSpec:
     def sensors(self) -> tuple[SensorSpec, SensorSpec, SensorSpec]:
         """Root, left, right."""
         return (self.root, self.left, self.right)
-
-    @property
-    def has_prior_errors(self) -> bool:
-        """Whether anything beside noise and bias is drawn from a prior."""
-        sigmas = [self.slope_sigma_ratio, self.trim_sigma_m, self.bend_per_g_sigma_m]
-        for sensor in self.sensors:
-            sigmas += [sensor.accel_scale_sigma, sensor.gyro_scale_sigma]
-            sigmas += [sensor.misalignment_sigma_rad, sensor.time_offset_sigma_s]
-        return any(sigma > 0 for sigma in sigmas)

@@ -151,14 +151,14 @@ class CommandProtocol:
 
     def telemetry(self, name: str, boot_ms: int) -> Any:
         """One message of a stream."""
-        return getattr(self, f"_tell_{name.lower()}")(boot_ms)
+        return getattr(self, f"_encode_{name.lower()}")(boot_ms)
 
-    def _tell_attitude(self, boot_ms: int) -> Any:
+    def _encode_attitude(self, boot_ms: int) -> Any:
         p = self.pilot
         yaw = (p.course_rad + math.pi) % math.tau - math.pi
         return mavlink.MAVLink_attitude_message(boot_ms, p.roll_rad, p.pitch_rad, yaw, 0.0, 0.0, 0.0)
 
-    def _tell_vfr_hud(self, boot_ms: int) -> Any:
+    def _encode_vfr_hud(self, boot_ms: int) -> Any:
         del boot_ms
         p = self.pilot
         heading = int(math.degrees(p.course_rad)) % 360
@@ -166,7 +166,7 @@ class CommandProtocol:
             p.airspeed_mps, p.airspeed_mps, heading, 60, p.height_m + HOME_AMSL_M, p.climb_mps
         )
 
-    def _tell_global_position_int(self, boot_ms: int) -> Any:
+    def _encode_global_position_int(self, boot_ms: int) -> Any:
         p = self.pilot
         north, east = p.airspeed_mps * math.cos(p.course_rad), p.airspeed_mps * math.sin(p.course_rad)
         return mavlink.MAVLink_global_position_int_message(
@@ -180,7 +180,7 @@ class CommandProtocol:
             int(math.degrees(p.course_rad) * 100) % 36000,
         )
 
-    def _tell_gps_raw_int(self, boot_ms: int) -> Any:
+    def _encode_gps_raw_int(self, boot_ms: int) -> Any:
         p = self.pilot
         speed = int(p.airspeed_mps * 100)
         altitude = int((p.height_m + HOME_AMSL_M) * 1000)
@@ -188,29 +188,29 @@ class CommandProtocol:
             boot_ms * 1000, 4, *to_wire(p.north_m, p.east_m), altitude, 80, 80, speed, 0, 16
         )
 
-    def _tell_sys_status(self, boot_ms: int) -> Any:
+    def _encode_sys_status(self, boot_ms: int) -> Any:
         del boot_ms
         remaining_percent = round(100 * self.pilot.battery)
         return mavlink.MAVLink_sys_status_message(
             0, 0, 0, 300, _CELL_MV * _CELLS, 800, remaining_percent, 0, 0, 0, 0, 0, 0
         )
 
-    def _tell_battery_status(self, boot_ms: int) -> Any:
+    def _encode_battery_status(self, boot_ms: int) -> Any:
         del boot_ms
         cells = [_CELL_MV] * _CELLS + [65535] * (10 - _CELLS)
         remaining_percent = round(100 * self.pilot.battery)
         return mavlink.MAVLink_battery_status_message(0, 0, 0, 2500, cells, 800, 500, -1, remaining_percent)
 
-    def _tell_extended_sys_state(self, boot_ms: int) -> Any:
+    def _encode_extended_sys_state(self, boot_ms: int) -> Any:
         del boot_ms
         landed = mavlink.MAV_LANDED_STATE_IN_AIR if self.pilot.airborne else mavlink.MAV_LANDED_STATE_ON_GROUND
         return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
-    def _tell_mission_current(self, boot_ms: int) -> Any:
+    def _encode_mission_current(self, boot_ms: int) -> Any:
         del boot_ms
         return self.missions.current()
 
-    def _tell_home_position(self, boot_ms: int) -> Any:
+    def _encode_home_position(self, boot_ms: int) -> Any:
         del boot_ms
         level = [1.0, 0.0, 0.0, 0.0]
         return mavlink.MAVLink_home_position_message(
