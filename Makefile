@@ -7,6 +7,9 @@ NATIVE := companion/native
 READY  := $(NATIVE)/kernels.so
 SECONDS ?= 120
 WAITING := $(addprefix sitl_tests/loop/,test_tour.py test_fleet_cluster.py test_missions.py)
+REALTIME := $(filter-out $(WAITING),$(shell grep -rl --include='test_*.py' mark.realtime sitl_tests))
+# where it is set, every process of every test compiles anew what it imports
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test long check native wheels sanitize fuzz fast lint types architecture generated bench trials lock clean help
 
@@ -33,7 +36,7 @@ demo: $(READY)   ## fly the simulated aircraft and the service in lock-step and 
 test: $(READY)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not realtime and not long"
 	$(BIN)/python -m pytest -n 3 -m "realtime and not long" $(WAITING)
-	$(BIN)/python -m pytest -m "realtime and not long" $(addprefix --ignore ,$(WAITING))
+	$(BIN)/python -m pytest -m "realtime and not long" $(REALTIME)
 
 long: $(READY)   ## what takes minutes of processor time each: live demo, fault flights, blind trials, measured wings
 	$(BIN)/python -m pytest -m long
