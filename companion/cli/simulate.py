@@ -84,4 +84,6 @@ def _effect(text: str) -> NamedEffect:
         raise ConfigError(
             f"--effect {text}: '{value}' is not a finite number ({first.name}, {first.unit or 'a ratio'})"
         )
+    if effects[name].one_way and number < 0.0:
+        raise ConfigError(f"--effect {text}: no wing has a negative {first.name} ({first.doc})")
     return NamedEffect(name, {first.name: number})

@@ -148,6 +148,12 @@ def test_unknown_effects_and_parameters_are_named() -> None:
         make_effect(NamedEffect("damping-shift", {"ration": 0.1}))
 
 
+@pytest.mark.parametrize("value", [-1.0, -5.0, math.nan])
+def test_a_frequency_of_0_or_less_is_refused(value: float) -> None:
+    with pytest.raises(ConfigError, match=r"'frequency-shift': ratio is \S+, and must be above -1"):
+        make_effect(NamedEffect("frequency-shift", {"ratio": value}))
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Everything(Effect):
     name: ClassVar[str] = "everything"

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -75,6 +76,8 @@ class EffectParameter:
     default: float
     sigma: float
     doc: str
+    above: float = -math.inf
+    """No wing, sensor or camera has this value or less (no frequency is 0, no step is negative)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +140,9 @@ class CameraView:
         return np.asarray(self.slope_gain * lag * resonance * mean * wandering, dtype=np.complex128)
 
 
-def parameter(unit: str, sigma: float, doc: str, default: float = 0.0) -> Any:
-    """Declare a parameter of an effect: unit, prior standard deviation, meaning."""
-    return field(default=default, metadata={"unit": unit, "sigma": sigma, "doc": doc})
+def parameter(unit: str, sigma: float, doc: str, default: float = 0.0, above: float = -math.inf) -> Any:
+    """Declare a parameter of an effect: unit, prior standard deviation, meaning, and what every value lies above."""
+    return field(default=default, metadata={"unit": unit, "sigma": sigma, "doc": doc, "above": above})
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +189,7 @@ class Effect:
                 _number(entry.default),
                 entry.metadata["sigma"],
                 entry.metadata["doc"],
+                entry.metadata["above"],
             )
             for entry in dataclasses.fields(cls)
         )

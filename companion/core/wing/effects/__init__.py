@@ -39,7 +39,7 @@ def make_effects(named: Iterable[NamedEffect]) -> tuple[Effect, ...]:
     Raises
     ------
     ConfigError
-        For a name that is not in the catalogue, or a parameter that the effect does not have.
+        For a name that is not in the catalogue, a parameter that the effect does not have, or a value that nothing has.
     """
     return tuple(make_effect(entry) for entry in named)
 
@@ -49,7 +49,15 @@ def make_effect(named: NamedEffect) -> Effect:
     kinds_by_name = catalogue()
     if named.name not in kinds_by_name:
         raise ConfigError(f"no effect '{named.name}'; known: {', '.join(kinds_by_name)}")
-    return kinds_by_name[named.name].from_values(named.parameters)
+    effect = kinds_by_name[named.name].from_values(named.parameters)
+    for entry in effect.parameters():
+        value = named.parameters.get(entry.name, entry.default)
+        if not (value > entry.above or value == entry.default):
+            unit = f" {entry.unit}" if entry.unit else ""
+            raise ConfigError(
+                f"effect '{named.name}': {entry.name} is {value:g}{unit}, and must be above {entry.above:g}"
+            )
+    return effect
 
 
 def apply_to_airframe(airframe: Airframe) -> Airframe:

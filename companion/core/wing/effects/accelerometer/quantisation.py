@@ -26,7 +26,7 @@ class Quantisation(Effect):
     discretises: ClassVar[bool] = True
     advice: ClassVar[str] = "choose a smaller range or a message with finer steps (HIGHRES_IMU instead of RAW_IMU)"
 
-    step_mps2: float = parameter("m/s^2", 0.1, "one step")
+    step_mps2: float = parameter("m/s^2", 0.1, "one step", above=0.0)
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Round."""

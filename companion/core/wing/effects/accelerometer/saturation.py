@@ -28,7 +28,7 @@ class Saturation(Effect):
         "choose a larger range of the accelerometer; cut samples were drawn anew as the others make them likely"
     )
 
-    inverse_s2pm: float = parameter("s^2/m", 0.02, "one over the range")
+    inverse_s2pm: float = parameter("s^2/m", 0.02, "one over the range", above=0.0)
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Cut."""

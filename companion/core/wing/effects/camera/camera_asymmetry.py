@@ -23,7 +23,7 @@ class CameraAsymmetry(Effect):
     group: ClassVar[Group] = Group.CAMERA
     advice: ClassVar[str] = "excite the antisymmetric mode with ranges to a known target"
 
-    ratio: float = parameter("", 0.1, "half of the relative difference, right minus left")
+    ratio: float = parameter("", 0.1, "half of the relative difference, right minus left", above=-1.0)
     both: float = parameter("", 0.1, "what the gains of both cameras have in common")
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:

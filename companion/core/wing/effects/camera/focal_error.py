@@ -20,7 +20,7 @@ class FocalError(Effect):
     group: ClassVar[Group] = Group.CAMERA
     advice: ClassVar[str] = "calibrate the focal length (a chart at a known distance)"
 
-    ratio: float = parameter("", 0.01, "relative error of both focal lengths")
+    ratio: float = parameter("", 0.01, "relative error of both focal lengths", above=-1.0)
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
         """Scale the image."""

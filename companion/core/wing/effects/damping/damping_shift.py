@@ -19,7 +19,7 @@ class DampingShift(Effect):
     name: ClassVar[str] = "damping-shift"
     group: ClassVar[Group] = Group.STRUCTURE
 
-    ratio: float = parameter("", 0.5, "relative change of every damping ratio")
+    ratio: float = parameter("", 0.5, "relative change of every damping ratio", above=-1.0)
 
     def structure(self, structure: Structure) -> Structure:
         """Scale the damping matrix."""

@@ -19,7 +19,7 @@ class LeftRightDamping(Effect):
     name: ClassVar[str] = "left-right-damping"
     group: ClassVar[Group] = Group.STRUCTURE
 
-    ratio: float = parameter("", 0.3, "half of the relative difference, right minus left")
+    ratio: float = parameter("", 0.3, "half of the relative difference, right minus left", above=-1.0)
 
     def structure(self, structure: Structure) -> Structure:
         """Couple each symmetric mode with its partner."""

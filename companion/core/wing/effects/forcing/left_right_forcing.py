@@ -18,7 +18,7 @@ class LeftRightForcing(Effect):
     name: ClassVar[str] = "left-right-forcing"
     group: ClassVar[Group] = Group.STRUCTURE
 
-    ratio: float = parameter("", 0.2, "half of the relative difference, right minus left")
+    ratio: float = parameter("", 0.2, "half of the relative difference, right minus left", above=-1.0)
 
     def load_gain(self, f_hz: Floats, count: int) -> Complexes:
         """Mix the first pair."""

@@ -19,7 +19,7 @@ class FrequencyShift(Effect):
     name: ClassVar[str] = "frequency-shift"
     group: ClassVar[Group] = Group.STRUCTURE
 
-    ratio: float = parameter("", 0.1, "relative change of every natural frequency")
+    ratio: float = parameter("", 0.1, "relative change of every natural frequency", above=-1.0)
 
     def structure(self, structure: Structure) -> Structure:
         """Scale the stiffness with the square."""

@@ -23,7 +23,7 @@ class LeftRightFrequency(Effect):
     name: ClassVar[str] = "left-right-frequency"
     group: ClassVar[Group] = Group.STRUCTURE
 
-    ratio: float = parameter("", 0.03, "half of the relative difference, right minus left")
+    ratio: float = parameter("", 0.03, "half of the relative difference, right minus left", above=-1.0)
 
     def structure(self, structure: Structure) -> Structure:
         """Couple each symmetric mode with its partner."""

@@ -33,8 +33,8 @@ class DropoutJitter(Effect):
     in_samples: ClassVar[bool] = True
     advice: ClassVar[str] = "stamp samples where they are taken; send batches; look at the link's loss counters"
 
-    jitter_s: float = parameter("s", 0.001, "root mean square of what stamps wander")
-    lost: float = parameter("", 0.02, "share of samples lost")
+    jitter_s: float = parameter("s", 0.001, "root mean square of what stamps wander", above=0.0)
+    lost: float = parameter("", 0.02, "share of samples lost", above=0.0)
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """Instants that wander, the same in every run."""
