@@ -20,7 +20,7 @@ from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
-from companion.cli.steps.options import check_output, make_folder
+from companion.cli.steps.options import check_output, result_folder
 from companion.errors import ConfigError
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
 from companion.params.airframe import Airframe, Camera, Uncertain
@@ -74,11 +74,11 @@ def execute(options: argparse.Namespace) -> int:
     if options.kind == "stereo":
         require_report()
     base = load_airframe(options.airframe)
-    make_folder(options.out)
-    check_output(options.out / "airframe.toml", "--out")
-    airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
     path = options.out / "airframe.toml"
-    path.write_text(dump_airframe(airframe), encoding="utf-8")
+    with result_folder(options.out):
+        check_output(path, "--out")
+        airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
+        path.write_text(dump_airframe(airframe), encoding="utf-8")
     print(f"wrote {path}")
     return 0
 

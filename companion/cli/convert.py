@@ -12,7 +12,7 @@ from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
 from companion.adapters.recordings.tables.record_tables import RecordTables
 from companion.adapters.recordings.tables.tables_readme import README, write_readme
-from companion.cli.steps.options import add_recording, check_output, make_folder, open_given
+from companion.cli.steps.options import add_recording, check_output, open_given, result_folder
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.records import ImuBatch, RawChunk
 
@@ -71,12 +71,20 @@ def _tlog(recording: Recording, path: Path) -> bool:
         newest_ns = max((chunk.received_host_ns for chunk in chunks), default=0)
         offset_ns, date = recording.path.stat().st_mtime_ns - newest_ns, "by the file's date, no SYSTEM_TIME has one"
     count = write_tlog(path, chunks, offset_ns)
-    print(f"{path}: {count} frames received and sent; UTC {date}")
+    print(f"{path}: {count} frames received and sent; UTC {date}; spanwise reads it with --airframe")
     return count > 0
 
 
 def _tables(recording: Recording, folder: Path) -> bool:
-    make_folder(folder, "FOLDER")
+    with result_folder(folder, "FOLDER"):
+        written = _write_tables(recording, folder)
+    print(f"{folder}:" if written else f"{folder}: nothing, no records")
+    print("".join(f"  {line}\n" for line in written), end="")
+    return bool(written)
+
+
+def _write_tables(recording: Recording, folder: Path) -> list[str]:
+    """Sentences about each table and folder written."""
     batches: list[ImuBatch] = []
     with RecordTables(folder) as tables:
         for record in recording.records():
@@ -89,9 +97,7 @@ def _tables(recording: Recording, folder: Path) -> bool:
     if written:
         write_readme(folder, recording, tables, samples)
         written.append(f"{README}: what they hold, every column with its unit")
-    print(f"{folder}:")
-    print("\n".join(f"  {line}" for line in written) if written else "  nothing: no records")
-    return bool(written)
+    return written
 
 
 def _samples(folder: Path, batches: list[ImuBatch]) -> Iterator[tuple[str, str]]:

@@ -17,7 +17,7 @@ from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
 from companion.cli.steps.numbers import number
-from companion.cli.steps.options import make_folder
+from companion.cli.steps.options import result_folder
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
@@ -48,10 +48,10 @@ def execute(options: argparse.Namespace) -> int:
     """Identify, print a table, write airframe, figures and numbers."""
     require_report()
     base = None if options.airframe is None else load_airframe(options.airframe)
-    make_folder(options.out)
-    if options.kind == "gvt":
-        return _from_test(options, base or load_airframe(_DRAFT))
-    return _from_flight(options, base)
+    with result_folder(options.out):
+        if options.kind == "gvt":
+            return _from_test(options, base or load_airframe(_DRAFT))
+        return _from_flight(options, base)
 
 
 def _from_test(options: argparse.Namespace, base: Airframe) -> int:

@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Compute everything, write the report, say where it is."""
     require_report()
-    make_folder(options.out)
     check_output(options.json, "--json")
+    make_folder(options.out)
     begun_s = time.monotonic()
     pace = QUICK if options.quick else FULL
     sections = make_sections(

@@ -175,6 +175,8 @@ def test_a_bad_input_is_one_sentence(
     if expected == BAD:
         sentences = [line for line in stderr.strip().splitlines() if line.startswith("spanwise")]
         assert len(sentences) == 1, stderr
+        left_empty = [path for path in tmp_path.rglob("*") if path.is_dir() and not any(path.iterdir())]
+        assert left_empty == [tmp_path / "folder"], "a refused command leaves no folder behind"
 
 
 def _filled(word: str, places: dict[str, str]) -> str:

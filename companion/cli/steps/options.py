@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.recording import Recording
@@ -115,6 +116,19 @@ def make_folder(path: Path, option: str = "--out") -> None:
         raise ConfigError(f"{option} {path}: cannot be made: {error.strerror}") from error
     if not os.access(path, os.W_OK):
         raise ConfigError(f"{option} {path}: cannot be written (permission denied)")
+
+
+@contextlib.contextmanager
+def result_folder(path: Path, option: str = "--out") -> Iterator[None]:
+    """As :func:`make_folder`; what was made here and stayed empty goes away again."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    make_folder(path, option)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # one that holds something stays, and so do those around it
+            for folder in made:
+                folder.rmdir()
 
 
 def state_file(name: str) -> Path:
