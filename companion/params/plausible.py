@@ -112,6 +112,7 @@ def problems(airframe: Airframe) -> Iterator[str]:
         if camera is not None:
             yield from _camera(camera, name)
     yield from _wing(airframe)
+    yield from _sampling(airframe)
     yield from _sides(airframe)
 
 
@@ -194,6 +195,17 @@ def _wing(airframe: Airframe) -> Iterator[str]:
             text = f"below {_LOWEST_CORNER_HZ:g} Hz; 0 is white"
             yield f"'wing.gust.corners_hz[{index}]' = {corner_hz:g} Hz is {text}"
     yield from _relative(wing.gust.deflection_rms_m, "wing.gust.deflection_rms_m")
+
+
+def _sampling(airframe: Airframe) -> Iterator[str]:
+    """Sensors too slow for a first mode: two samples a period (Nyquist) are the least that tell its frequency."""
+    firsts_hz = {name: getattr(airframe.wing, name).frequency_hz.value for name in FAMILIES}
+    name = max(firsts_hz, key=firsts_hz.__getitem__)
+    for where in ("root", "left", "right"):
+        rate_hz = getattr(airframe, where).rate_hz
+        if rate_hz < 2.0 * firsts_hz[name]:
+            text = f"below two samples a period of the {name} mode of {firsts_hz[name]:g} Hz; ten are good"
+            yield f"'{where}.rate_hz' = {rate_hz:g} Hz is {text}"
 
 
 def _relative(belief: Uncertain, key: str) -> Iterator[str]:

@@ -46,6 +46,7 @@ def changed(section: str, key: str, value: str) -> str:
         ("wing.symmetric", "frequency_hz", "nan", "must be a finite number, not nan"),
         ("wing.gust", "deflection_rms_m", "0.0", "'wing.gust.deflection_rms_m' = 0 m is outside"),
         ("left", "rate_hz", "0.0", "'left.rate_hz' = 0 Hz is outside 5 to 50000 Hz"),
+        ("left", "rate_hz", "9.0", "'left.rate_hz' = 9 Hz is below two samples a period"),
         ("left", "sends", '"xyw"', "'left.sends' = 'xyw' must be letters of 'xyzpqr'"),
         ("left", "sends", '""', "'left.sends' = ''"),
         ("left", "accel_noise_mps2_rthz", "0.0", "'left.accel_noise_mps2_rthz' = 0 m/s^2/rt Hz is outside 1e-08 to 10"),
