@@ -125,6 +125,9 @@ def test_a_flight_whose_mode_or_sensor_leaves_its_aircraft_s_median_is_named() -
     first, second = findings([*rows, off, slowed])
     assert first == "nadir-2m: left sensor's rate 900, usually 1000 Hz, in 8.mcap"
     assert second == "nadir-2m: symmetric mode 4.6, usually 5.01 Hz, in 7.mcap"
+    lossy = flight(8, left_rate_hz=900.0, incomplete=True)
+    assert findings([*rows, lossy]) == [], "no sensor is to blame for what a file has lost"
+    assert "or a disk that was too slow), and judged by what is there: 8.mcap" in render("report", [*rows, lossy])
     other = flight(9, airframe="forward-2m", symmetric_hz=3.0)
     assert findings([*rows, other]) == [], "another airframe has a median of its own"
 

@@ -44,11 +44,12 @@ def _report(task: FileTask) -> dict[str, Any]:
     named = _airframe(task)
     recording = open_recording(task.path, load_airframe(named) if named else None)
     log = gather(recording.records())
+    row = flight_row(recording, log) | {"incomplete": isinstance(recording, McapRecording) and not recording.complete}
     if NO_PAGES in task.words:
-        return flight_row(recording, log)
+        return row
     page = f"pages/{task.key}.html"
     (task.folder / page).write_text(render(recording, log), encoding="utf-8")
-    return {"page": page} | flight_row(recording, log)
+    return {"page": page} | row
 
 
 def _airframe(task: FileTask) -> str | None:

@@ -23,8 +23,12 @@ _MOST_LETTERS = 18  # of a file's name there: the end of it, which tells flights
 _WITHHELD = "withheld: "
 _NOW_AND_THEN = "that a range is withheld now and then is normal: see the report of each flight"
 _COUNTED = (_WITHHELD, "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them
-_PLACES = ("file", "page", "code", "cut", "failed")
+_PLACES = ("file", "page", "code", "cut", "incomplete", "failed")
 _SHARED = ("verdict", "reason", "result")  # texts that several files may have in common
+_LOSSES = {
+    "cut": "cut off while recording",
+    "incomplete": "records are missing (a damaged file, or a disk that was too slow)",
+}
 _NORMAL = ("usable", "adequate")  # verdicts that are no news, however often they come
 _SUBJECTS = {
     "report": "each flight's ranges, modes and sensors, by its own records (spanwise fleet report)",
@@ -61,7 +65,7 @@ def render(kind: str, rows: Rows) -> str:
 
 
 def _body(rows: Rows, good: Rows) -> Iterator[Block]:
-    sentences = [*findings(good), *_cut_off(good), *unremarkable(good)]
+    sentences = [*findings(good), *_lossy(good), *unremarkable(good)]
     if sentences:
         yield Findings(sentences)
     yield from _frequencies(good)
@@ -89,12 +93,15 @@ def _name(row: Mapping[str, Any]) -> str:
 
 
 def _state(row: Mapping[str, Any]) -> str:
-    return "failed" if row.get("failed") else "cut" if row.get("cut") else "read"
+    return next((state for state in ("failed", "cut", "incomplete") if row.get(state)), "read")
 
 
-def _cut_off(rows: Rows) -> list[str]:
-    names = [_name(row) for row in rows if row.get("cut")]
-    return [f"cut off while recording, and judged by what is there: {', '.join(names)}"] if names else []
+def _lossy(rows: Rows) -> Iterator[str]:
+    """Sentences about files that lack a part."""
+    for state, words in _LOSSES.items():
+        names = [_name(row) for row in rows if row.get(state)]
+        if names:
+            yield f"{words}, and judged by what is there: {', '.join(names)}"
 
 
 def _frequencies(rows: Rows) -> Iterator[Block]:

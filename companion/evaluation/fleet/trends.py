@@ -67,7 +67,8 @@ _RATES = tuple(
 _NOISES = tuple(
     _Figure(f"{place}_noise", f"{place} sensor's noise", "m/s²/√Hz", _NOISE_RATIO, worse=1) for place in _STATIONS
 )
-_FIGURES = (*_MODES, *_DAMPINGS, *_RATES, *_NOISES)
+_SENSORS = (*_RATES, *_NOISES)
+_FIGURES = (*_MODES, *_DAMPINGS, *_SENSORS)
 
 
 def findings(rows: Rows) -> list[str]:
@@ -77,12 +78,16 @@ def findings(rows: Rows) -> list[str]:
     recurring: list[tuple[float, str]] = []
     for airframe, flights in _by_aircraft(rows).items():
         recurring += _recurring_effects(airframe, flights)
+        complete = [
+            row for row in flights if not row.get("incomplete")
+        ]  # what a file has lost, no sensor is to blame for
         for figure in _FIGURES:
-            drift = _drift(airframe, flights, figure)
+            judged = complete if figure in _SENSORS else flights
+            drift = _drift(airframe, judged, figure)
             if drift is not None:
                 drifts.append(drift)
             else:
-                singles += _outliers(airframe, flights, figure)
+                singles += _outliers(airframe, judged, figure)
     texts = [text for kind in (recurring, drifts, singles) for _, text in sorted(kind, key=_clearest)]
     return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
 
