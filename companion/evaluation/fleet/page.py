@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.evaluation.fleet.file_task import reason_alone
-from companion.evaluation.fleet.trends import findings, unremarkable
+from companion.evaluation.fleet.trends import findings, losses, unremarkable
 from companion.reporting import page, plotting
 from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed
@@ -25,10 +25,6 @@ _NOW_AND_THEN = "that a range is withheld now and then is normal: see the report
 _COUNTED = (_WITHHELD, "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them
 _PLACES = ("file", "page", "code", "cut", "incomplete", "failed")
 _SHARED = ("verdict", "reason", "result")  # texts that several files may have in common
-_LOSSES = {
-    "cut": "cut off while recording",
-    "incomplete": "records are missing (a damaged file, or a disk that was too slow)",
-}
 _NORMAL = ("usable", "adequate")  # verdicts that are no news, however often they come
 _SUBJECTS = {
     "report": "each flight's ranges, modes and sensors, by its own records (spanwise fleet report)",
@@ -65,7 +61,7 @@ def render(kind: str, rows: Rows) -> str:
 
 
 def _body(rows: Rows, good: Rows) -> Iterator[Block]:
-    sentences = [*findings(good), *_lossy(good), *unremarkable(good)]
+    sentences = [*findings(good), *losses(good), *unremarkable(good)]
     if sentences:
         yield Findings(sentences)
     yield from _frequencies(good)
@@ -94,14 +90,6 @@ def _name(row: Mapping[str, Any]) -> str:
 
 def _state(row: Mapping[str, Any]) -> str:
     return next((state for state in ("failed", "cut", "incomplete") if row.get(state)), "read")
-
-
-def _lossy(rows: Rows) -> Iterator[str]:
-    """Sentences about files that lack a part."""
-    for state, words in _LOSSES.items():
-        names = [_name(row) for row in rows if row.get(state)]
-        if names:
-            yield f"{words}, and judged by what is there: {', '.join(names)}"
 
 
 def _frequencies(rows: Rows) -> Iterator[Block]:

@@ -27,6 +27,10 @@ _DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airfram
 _SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples (choice)
 _NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn (choice)
 _EFFECT = "effect: "  # begins the column of an effect that a diagnosis named
+_LOSSES = {
+    "cut": "cut off while recording",
+    "incomplete": "records are missing (a damaged file, or a disk that was too slow)",
+}
 _STATIONS = ("root", "left", "right")
 
 Rows = Sequence[Mapping[str, Any]]
@@ -90,6 +94,12 @@ def findings(rows: Rows) -> list[str]:
                 singles += _outliers(airframe, judged, figure)
     texts = [text for kind in (recurring, drifts, singles) for _, text in sorted(kind, key=_clearest)]
     return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
+
+
+def losses(rows: Rows) -> list[str]:
+    """Sentences about files that lack a part."""
+    named = {words: [Path(row["file"]).name for row in rows if row.get(state)] for state, words in _LOSSES.items()}
+    return [f"{words}, and judged by what is there: {', '.join(names)}" for words, names in named.items() if names]
 
 
 def unremarkable(rows: Rows) -> list[str]:
