@@ -40,6 +40,10 @@ class RecordingError(SpanwiseError):
     """A recording cannot be opened, or holds nothing that can be used."""
 
 
+class AirframeNeededError(RecordingError):
+    """A recording does not say of which aircraft it is."""
+
+
 class TableError(RecordingError):
     """A CSV table is wrong at a named file and line."""
 

@@ -100,6 +100,15 @@ def test_a_file_or_folder_that_cannot_be_read_is_called_what_it_is(
         assert sentence in capsys.readouterr().err
 
 
+def test_a_foreign_log_is_shown_without_its_airframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{i / 500},-9.81,-9.80\n" for i in range(600))
+    (tmp_path / "accel.csv").write_text("t_s,left_z_mps2,right_z_mps2\n" + rows)
+    assert main(["info", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert "left  600 samples of z at 500.0 Hz" in printed.out
+    assert "note: no --airframe: read as sitl-plane" in printed.err
+
+
 def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
     stream = StreamInfo()
     for count in (0, 3):
