@@ -266,7 +266,7 @@ static void roll_errors(const jacobian *j, const motion *m, int64_t k, const int
 
 typedef struct {
     double *rows, *vertical, *lateral, *slope_rate_gain, *gain, *load_g, *body_rate, *sensitivity, *aliasing, *motion;
-    uint8_t *present;
+    uint8_t *present, *covered;
     int64_t *start_ns, parameters;
 } epoch_columns;
 
@@ -285,13 +285,14 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
         .aliasing = reals(record->aliasing_noise, 2, &good),
         .motion = reals(record->root_motion_variance, 2, &good),
         .present = truths(record->present, 2, &good),
+        .covered = truths(record->root_covered, 1, &good),
         .start_ns = integers(record->start_ns, 1, &good),
         .parameters = extent(record->sensitivity, 2),
     };
     const array *all[] = {record->rows,         record->present, record->vertical_mps2,   record->lateral_mps2,
                           record->load_g,       record->start_ns, record->slope_rate_gain, record->lateral_gain,
                           record->sensitivity,  record->body_rate_radps,
-                          record->aliasing_noise, record->root_motion_variance};
+                          record->aliasing_noise, record->root_motion_variance, record->root_covered};
     for (size_t k = 0; k < sizeof all / sizeof *all; k++)
         good = good && extent(all[k], 0) >= n;
     return good;
@@ -338,10 +339,11 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     for (int row = 0; row < ROWS; row++)
         if (!present[row])
             rows[row] = 0.0;
-    bool loaded = m->sends[VERTICAL] && station[0].covered[k];
+    out->covered[k] = station[0].covered[k];
+    bool loaded = m->sends[VERTICAL] && out->covered[k], goes_on = k + 1 < m->n && station[0].covered[k + 1];
     out->load_g[k] = loaded ? -m->smooth[k * CHANNELS + VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
     for (int axis = 0; axis < 3; axis++)
-        out->body_rate[3 * k + axis] = k + 1 < m->n ? 0.5 * (rate[axis] + rate[CHANNELS + axis]) : rate[axis];
+        out->body_rate[3 * k + axis] = goes_on ? 0.5 * (rate[axis] + rate[CHANNELS + axis]) : rate[axis];
 }
 
 /* Room of a motion and three averages in one piece. */

@@ -72,6 +72,7 @@ def _epochs(
         sensitivity=rng.normal(size=(n, ROWS, bias_parameters)),
         aliasing_noise=two,
         root_motion_variance=np.zeros((n, 3)),
+        root_covered=np.ones(n, np.bool_),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Deflection, ImuBatch, ModeState, Reject, Station, Validity
-from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
+from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, G, batch, plain_airframe, swinging
 
 
 def _run(
@@ -152,6 +152,41 @@ def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict
     validities = {(s.t_host_ns - EPOCH_NS) // MS: s.validity for s in states}
     assert any(v is Validity.SATURATED for ms, v in validities.items() if 2500 <= ms < 2700)
     assert states[-1].validity is Validity.TRACKING
+
+
+@pytest.mark.parametrize(("until_ms", "distrust"), [(14_000, Reject.SATURATED), (15_000, None)])
+def test_a_tip_that_fell_silent_at_its_limit_blinds_the_others_no_more(until_ms: int, distrust: Reject | None) -> None:
+    t, values = swinging(15.0, 0.005)
+    values[Station.LEFT][12_000:, 2] = 157.0
+    tracker, _ = _run(t[:until_ms], values, until_ms={Station.LEFT: 14_000})
+    assert tracker.distrust is distrust
+
+
+@pytest.mark.parametrize("gap_ms", [50, 180])
+def test_a_gap_of_the_root_in_a_steep_turn_unloads_no_wing(gap_ms: int) -> None:
+    """Tips without gyros at 2 g: a wing taken to hang at 1 g there was 9 sigma off, and stood still in a roll."""
+    airframe, seconds, gap = plain_airframe(), 6.0, slice(5500, 5500 + gap_ms)
+    wing, rng = airframe.wing, np.random.default_rng(3)
+    slope = wing.symmetric.slope_factor_radpm.value * (wing.trim_bend_m.value + wing.bend_per_g_m.value)
+    t = EPOCH_NS + np.arange(round(seconds * 1000)) * MS
+    tracker = WingTracker(airframe, Settings(adapt=0))
+    for first in range(0, len(t), 20):
+        stamps = t[first : first + 20]
+        for station, across in ((Station.ROOT, 0.0), (Station.LEFT, -slope), (Station.RIGHT, slope)):
+            values = rng.normal(size=(20, 6)) * np.repeat([0.016, 0.0011], 3)
+            values[:, 1] += 2.0 * G * np.sin(across)
+            values[:, 2] -= 2.0 * G * np.cos(across)
+            axes = Axis.ALL if station is Station.ROOT else Axis.ACCEL
+            present = ~((stamps >= t[gap.start]) & (stamps < t[gap.stop])) | (station is not Station.ROOT)
+            if present.any():
+                sent = ImuBatch(station, ClockName.HOST, stamps[present], values[present], axes, int(stamps[-1]))
+                tracker.add(sent)
+        tracker.process_until(int(stamps[-1]) + MS)
+    assert tracker.smooth(int(t[gap.start]) + gap_ms * MS // 2) is Reject.STALE
+    for after_ms in (20, 60, 150):
+        estimate = tracker.smooth(int(t[gap.stop]) + after_ms * MS)
+        assert isinstance(estimate, Deflection)
+        assert (np.abs(estimate.slope_rad - slope) < 4.0 * np.sqrt(np.diag(estimate.covariance)[4:])).all()
 
 
 def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:

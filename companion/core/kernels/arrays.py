@@ -73,6 +73,8 @@ class Epochs(NamedTuple):
     root_motion_variance : (n, 3) float64
         Variance of the rigid vertical and lateral force, (m/s^2)^2, and of the roll rate, (rad/s)^2, where the root
         moved faster than its filtered samples resolve; 0 in steady flight.
+    root_covered : (n,) bool
+        Epochs in which the root had samples; load factor and body rate of the others are those of the last one.
     """
 
     start_ns: Ints
@@ -87,6 +89,7 @@ class Epochs(NamedTuple):
     sensitivity: Floats
     aliasing_noise: Floats
     root_motion_variance: Floats
+    root_covered: Bools
 
     @property
     def length(self) -> int:

@@ -81,6 +81,7 @@ class MeasurementBuilder:
         self._error_columns, self._parameter_count = error_columns(layout), len(layout.bias_parameters)
         self._axes: tuple[Axis, ...] = ()
         self._sends = np.zeros((3, CHANNELS), dtype=np.bool_)
+        self._last: tuple[float, Floats] = (0.0, np.zeros(3))  # load factor less one and body rate, measured last
 
     def epochs(self, first_ns: int, step_ns: int, count: int) -> Epochs:
         """Build ``count`` consecutive epochs of ``step_ns`` from ``first_ns`` on."""
@@ -93,7 +94,20 @@ class MeasurementBuilder:
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
         padded = build_epochs(at_root, at_left, at_right, first_ns, step_ns, count, *fixed)
-        return padded.span(BEFORE, BEFORE + count)
+        return self._bridged(padded.span(BEFORE, BEFORE + count))
+
+    def _bridged(self, epochs: Epochs) -> Epochs:
+        """Epochs whose load factor and body rate are the last measured ones where the root has a gap.
+
+        Nothing would make the wing hang at one g there, and the body stand still.
+        """
+        if not epochs.root_covered.all():
+            last = np.maximum.accumulate(np.where(epochs.root_covered, np.arange(epochs.length), -1))
+            load_g, body_rate_radps = epochs.load_g[last], epochs.body_rate_radps[last]
+            load_g[last < 0], body_rate_radps[last < 0] = self._last
+            epochs = epochs._replace(load_g=load_g, body_rate_radps=body_rate_radps)
+        self._last = float(epochs.load_g[-1]), epochs.body_rate_radps[-1].copy()
+        return epochs
 
 
 class _RootNoise(NamedTuple):
@@ -163,4 +177,5 @@ def _empty(n: int, parameters: int) -> Epochs:
         sensitivity=np.empty((n, ROWS, parameters)),
         aliasing_noise=np.empty((n, 2)),
         root_motion_variance=np.empty((n, 3)),
+        root_covered=np.empty(n, np.bool_),
     )

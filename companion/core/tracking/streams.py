@@ -203,6 +203,10 @@ class SampleBuffer:
             self.saturated_ns is not None and t_ns - self.saturated_ns < _SATURATION_HOLD_NS
         )
 
+    def is_silent(self, since_ns: int) -> bool:
+        """Whether nothing has come since an instant, not even samples at the sensor's limits."""
+        return max(self.newest_ns or 0, self.saturated_ns or 0) < since_ns
+
     def _take(self, t_ns: Ints, values: Floats) -> None:
         """Queue samples until they are needed."""
         self._waiting.append((t_ns, values))

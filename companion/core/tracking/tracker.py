@@ -5,7 +5,6 @@ It owns the time grid, the streams and the filter and keeps them in step; the es
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection
 
 import numpy as np
@@ -14,6 +13,7 @@ from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.blow import BlowWatch
+from companion.core.tracking.body_rates import BodyRates
 from companion.core.tracking.estimates import (
     bias_parameter_estimates,
     fast_slope_time_s,
@@ -37,7 +37,7 @@ from companion.core.tracking.streams import SampleBuffer
 from companion.core.tracking.validity import DISTRUST, NIS_LIMIT, ModalActivity, classify_validity
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
+from companion.records import Deflection, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _HISTORY_S = 1.25  # chosen: longest lag of the smoother, and what ticks and two stamps of a pair are late
 _MOST_S = 1.0  # chosen: of epochs at once, which the history holds; then lines are searched for
@@ -66,7 +66,7 @@ class WingTracker:
         (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._forecaster = Forecaster(self._layout)
-        self._body_rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each epoch
+        self._body_rates = BodyRates(self._keep)
         self._start_ns: int | None = None
         self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines = LineFollowing(self._streams)
@@ -196,13 +196,13 @@ class WingTracker:
             passed_s = segment.length * self._step_s
             if not self._adaptation.early and self._blow.update(self._kalman.nis_of_known_wing, *vibration, passed_s):
                 self._adaptation.begin_history()
-            self._body_rates.extend(segment.body_rate_radps)
+            self._body_rates.extend(segment)
             if self._settings.adapt:
                 self._trial_epochs.append(segment)
                 contradicted = self._refused or self._kalman.nis > NIS_LIMIT
                 gate_excess = self._kalman.gate_excess(segment.length)
                 clean = self._rare_gates.without(segment, gate_excess, self._step_s, learning=self._adaptation.early)
-                clipped = any(stream.clipping.often for stream in self._streams)
+                clipped = any(stream.clipping.often for stream in self._live_streams)
                 fit = self._adaptation.add_epochs(clean, contradicted, self._blow.under_way, clipped)
                 if fit.stages is not None:
                     self._begin_readaptation(fit.stages)
@@ -317,6 +317,11 @@ class WingTracker:
         newest = self._streams[station].newest_ns
         return newest is not None and self._next_ns - newest <= self._settings.stale_s * 1e9
 
+    @property
+    def _live_streams(self) -> list[SampleBuffer]:
+        """Streams that count: what a sensor did before it fell silent says nothing of the others."""
+        return [s for s in self._streams if not s.is_silent(self._next_ns - round(self._settings.stale_s * 1e9))]
+
     def _classify(self, now_host_ns: int) -> Validity:
         """Validity at ``now``."""
         stale = not self._alive(Station.ROOT) or not (self._alive(Station.LEFT) or self._alive(Station.RIGHT))
@@ -325,7 +330,7 @@ class WingTracker:
             self._activity.settled_s = 0.0
         return classify_validity(
             stale=stale,
-            saturated=any(stream.is_saturated(self._next_ns) for stream in self._streams),
+            saturated=any(stream.is_saturated(self._next_ns) for stream in self._live_streams),
             settled=self._activity.settled,
             nis=self._kalman.nis,
             deflection_sigmas=self._activity.deflection_sigmas,
@@ -340,7 +345,8 @@ class WingTracker:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
         if not self._body_rates or not self._activity.learned:
             return Reject.NOT_SETTLED
-        return Reject.SATURATED if any(s.clipping.blinds for s in self._streams) else DISTRUST.get(self._validity)
+        blinded = any(stream.clipping.blinds for stream in self._live_streams)
+        return Reject.SATURATED if blinded else DISTRUST.get(self._validity)
 
     @property
     def nis(self) -> float:
@@ -355,10 +361,9 @@ class WingTracker:
 
     def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
         """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""
-        refusal = self._refusal()
-        if refusal is not None:
+        if (refusal := self._refusal()) is not None:
             return refusal
-        return self._forecaster.run(self._kalman, self._next_ns, self._body_rates[-1], horizon_ns, step_ns)
+        return self._forecaster.run(self._kalman, self._next_ns, self._body_rates.newest_radps, horizon_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """Wing at a past instant, with all measurements since; causal at the newest. Feeds ``ManoeuvreError`` too."""
@@ -373,6 +378,8 @@ class WingTracker:
         if step == self._kalman.steps:
             step, into_ns = step - 1, self._step_ns
         kalman, fraction = self._kalman, into_ns / self._step_ns
+        if (body_rate_radps := self._body_rates.at(int(step) - kalman.steps, fraction)) is None:
+            return Reject.STALE
         smoothed = smooth_between(kalman, int(step), fraction)
         estimate = tip_estimate(
             self._layout, self._rows, smoothed, kalman.bias_parameters, kalman.bias_parameter_covariance
@@ -383,7 +390,7 @@ class WingTracker:
             qdot_mps=estimate.values[2:4],
             slope_rad=estimate.values[4:],
             covariance=estimate.covariance,
-            body_rate_radps=self._body_rate_at(int(step), fraction),
+            body_rate_radps=body_rate_radps,
             lag_ns=self._next_ns - t_host_ns,
             slow_slope_sigma_rad=estimate.slow_slope_sigma_rad,
             fast_slope_time_s=fast_slope_time_s(kalman, self._rows[4:], int(step)),
@@ -391,10 +398,3 @@ class WingTracker:
                 t_host_ns, estimate.slope_by_bias, kalman.bias_parameter_covariance
             ),
         )
-
-    def _body_rate_at(self, step: int, fraction: float) -> Floats:
-        """Body rate at a fraction of a step, interpolated."""
-        at = step - self._kalman.steps  # -1: the newest epoch
-        end, before = self._body_rates[at], self._body_rates[max(at - 1, -len(self._body_rates))]
-        body_rate_radps: Floats = before + fraction * (end - before)
-        return body_rate_radps

@@ -123,7 +123,8 @@ def _rows_and_jacobians(
             if averaged.covered[0, k]:
                 load_g[k] = -motion.f_root[k, 2] / GRAVITY_MPS2 - 1.0
     body_rate_radps = motion.omega.copy()
-    body_rate_radps[:-1] = 0.5 * (motion.omega[:-1] + motion.omega[1:])
+    goes_on = averaged.covered[0, 1:]
+    body_rate_radps[:-1][goes_on] = 0.5 * (motion.omega[:-1] + motion.omega[1:])[goes_on]
     sensitivity = sensitivities(motion, gains, present, error_columns, parameter_count)
     for k in range(n):
         for side in range(2):
@@ -142,6 +143,7 @@ def _rows_and_jacobians(
         sensitivity,
         aliasing_noise,
         root_motion_variance,
+        averaged.covered[0],
     )
 
 
