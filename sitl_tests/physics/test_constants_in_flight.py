@@ -18,8 +18,15 @@ A_FEW_CLIPPED, MANY_CLIPPED = 731, 718  # flights in `rough` whose tips reach 16
 JUDGED = ("trim", "bend_per_g", "slope.symmetric", *TIPS)
 
 
-@pytest.mark.parametrize("sensors", ["6-axis", "vertical"])
-@pytest.mark.parametrize("number", [CALM, STRONG])
+@pytest.mark.parametrize(
+    ("number", "sensors"),
+    [
+        (CALM, "vertical"),
+        (STRONG, "6-axis"),
+        pytest.param(CALM, "6-axis", marks=pytest.mark.long),
+        pytest.param(STRONG, "vertical", marks=pytest.mark.long),
+    ],
+)
 def test_what_a_flight_teaches_of_its_constants_is_within_its_sigmas(number: int, sensors: str) -> None:
     """Four sigmas; an error that was regressed on itself or a row that ignored its scale gave 5 to 12."""
     judged = fly(CampaignRow("ideal", "nadir-2m", sensors), number)["constants"]
@@ -28,7 +35,9 @@ def test_what_a_flight_teaches_of_its_constants_is_within_its_sigmas(number: int
     assert max(abs(value) for value in over.values()) < 4.0, over
 
 
-@pytest.mark.parametrize(("number", "sensors"), [(A_FEW_CLIPPED, "vertical"), (MANY_CLIPPED, "6-axis")])
+@pytest.mark.parametrize(
+    ("number", "sensors"), [pytest.param(A_FEW_CLIPPED, "vertical", marks=pytest.mark.long), (MANY_CLIPPED, "6-axis")]
+)
 def test_what_clipped_accelerometers_teach_is_within_its_sigmas_and_no_range_is_wrong(
     number: int, sensors: str
 ) -> None:

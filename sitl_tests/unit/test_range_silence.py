@@ -147,7 +147,11 @@ def flight() -> Flight:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "words"),
-    [("RNG_MIN", 100.0, "outside its limits"), ("TRG_POLICY", 2.0, "triggering is off"), ("RNG_MATCHES", 100.0, "few")],
+    [
+        ("RNG_MIN", 100.0, "outside its limits"),
+        ("TRG_POLICY", 2.0, "triggering is off"),
+        pytest.param("RNG_MATCHES", 100.0, "few", marks=pytest.mark.long),
+    ],
 )
 def test_a_flight_without_ranges_is_not_active_and_the_ground_hears_why(
     flight: Flight, name: str, value: float, words: str

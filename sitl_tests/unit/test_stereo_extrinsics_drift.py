@@ -99,7 +99,9 @@ def _errors(tilt_rad: float, use_matches: bool, flights: int = 40, pairs: int = 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("tilt_rad", "use_matches"), [(0.002, False), (0.01, True), (0.0002, True)])
+@pytest.mark.parametrize(
+    ("tilt_rad", "use_matches"), [(0.002, False), (0.01, True), pytest.param(0.0002, True, marks=pytest.mark.long)]
+)
 def test_the_sigma_of_tilt_only_epipolar_only_and_both_is_honest(tilt_rad: float, use_matches: bool) -> None:
     """Chi-square with 40 degrees of freedom over 40: mean 1, standard deviation 0.22."""
     errors, sigmas = _errors(tilt_rad, use_matches)
@@ -181,7 +183,7 @@ def _scaled_errors(bend_scale: float, flights: int = 8, pairs: int = 120) -> tup
     return np.array(errors), np.array(sigmas)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_error_of_scale_of_the_fast_bend_is_learnt_over_pairs() -> None:
     """Gyros and slope factor wrong by their sigmas, 0.6 %: 0.12 mrad of each pair's toe; a third of it may be left."""
     sigma = math.hypot(0.005 / math.sqrt(2.0), 0.007 / 1.39)

@@ -122,7 +122,7 @@ def test_a_keystone_beyond_what_is_stated_is_learnt_and_no_knock(sigmas: float) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("worse", [1.0, 3.0])
+@pytest.mark.parametrize("worse", [pytest.param(1.0, marks=pytest.mark.long), 3.0])
 def test_lenses_that_are_worse_than_stated_leave_an_honest_toe_in_flight(worse: float) -> None:
     """Six calibrations as good as they say, and three times as bad: chi-square of the toe within 99.9 %, no knock."""
     airframe, flights = _ahead(), 6

@@ -256,7 +256,7 @@ def calibrated_by_default(airframe: Airframe) -> Airframe:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
+@pytest.mark.parametrize("looks", [pytest.param(nadir, marks=pytest.mark.long), forward], ids=["down", "ahead"])
 def test_lenses_drawn_from_the_prior_leave_honest_sigmas(looks: Looks) -> None:
     """Toe and range of 16 flights, each one draw of what no match tells: chi-square within 99.8 %; no 5 sigma."""
     airframe, flights = calibrated_by_default(looks(rotation_sigma_rad=3e-4)), 16
@@ -321,7 +321,8 @@ def old_lens(seed: int, worse: float, airframe: Airframe) -> np.ndarray:
     return np.asarray(worse * sigma * np.random.default_rng([seed, 0x01D]).standard_normal(6))
 
 
-@pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
+@pytest.mark.slow
+@pytest.mark.parametrize("looks", [nadir, pytest.param(forward, marks=pytest.mark.long)], ids=["down", "ahead"])
 def test_an_old_calibration_is_in_the_toes_sigma(looks: Looks) -> None:
     """Lenses four times as wrong as stated: what the observed terms say widens all, those that look like yaw too.
 
