@@ -16,6 +16,8 @@ from companion.core.tracking.line_search import (
 )
 from companion.core.tracking.spread_work import SPREAD_S, Result, SpreadWork, Stages
 from companion.core.tracking.streams import SampleBuffer
+from companion.core.tracking.tracker import WingTracker
+from companion.params.settings import Settings
 from companion.records import Floats, Ints, Station
 from sitl_tests.unit.tracking_samples import EPOCH_NS, batch, plain_airframe
 
@@ -268,3 +270,22 @@ def test_a_shaft_is_followed_while_the_throttle_is_closed_and_opened(gust_mps2: 
     assert list(known_lines.leader_hz) == [0], "the shaft that was found first"
     assert known_lines.leader_hz[0] == pytest.approx(65.0, abs=1.0)
     assert max(np.std(stretch) for stretch in clean[25:]) < 0.25 * np.std(line)
+
+
+def test_a_station_that_fell_silent_leads_no_shaft() -> None:
+    """It kept the frequency that it saw last, beside which each search began another shaft."""
+    t_ns, rng = stamps(12.0), np.random.default_rng(4)
+    t_s = t_ns * 1e-9
+    rpm_hz = 80.0 + 5.0 * np.clip(t_s - 5.0, 0.0, 4.0)
+    line = np.cos(2.0 * np.pi * np.cumsum(rpm_hz) / RATE_HZ)
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    for first in range(0, len(t_ns), 100):
+        span = slice(first, first + 100)
+        for station, amplitude_mps2 in ((Station.ROOT, 0.3), (Station.LEFT, 3.0), (Station.RIGHT, 1.0)):
+            values = rng.normal(size=(100, 6)) * np.repeat([NOISE_MPS2, 0.0011], 3)
+            values[:, 2] += amplitude_mps2 * line[span] - 9.80665
+            if station is not Station.LEFT or t_s[first] < 4.0:
+                tracker.add(batch(station, EPOCH_NS + t_ns[span], values))
+        tracker.process_until(EPOCH_NS + int(t_ns[span][-1]))
+    (leader_hz,) = tracker._lines._lines.leader_hz.values()
+    assert leader_hz == pytest.approx(100.0, abs=0.3)

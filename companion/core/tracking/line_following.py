@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.core.tracking.line_search import MIN_RATE_HZ, KnownLines
+from companion.core.tracking.line_search import MIN_RATE_HZ, SILENT_NS, KnownLines
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
 
@@ -53,9 +53,13 @@ class LineFollowing:
         """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most.
 
         A stream too slow to be searched does not count: a leader near its Nyquist frequency looks locked to anything.
+        Nor does one that is silent: it keeps the frequency that it saw last.
         """
         followed: dict[int, tuple[float, float]] = {}
-        for stream in (stream for stream in self._streams if stream.sensor.rate_hz >= MIN_RATE_HZ):
+        newest_ns = max((stream.newest_ns or 0 for stream in self._streams), default=0)
+        for stream in self._streams:
+            if stream.sensor.rate_hz < MIN_RATE_HZ or stream.is_silent(newest_ns - SILENT_NS):
+                continue
             for number, leader in stream.followed_shafts().items():
                 followed[number] = max(followed.get(number, leader), leader, key=lambda each: each[1])
         return followed

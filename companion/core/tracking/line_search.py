@@ -32,6 +32,7 @@ NEAR_HZ = 3.0  # chosen: nearer peaks are one
 _SAME_RATIO = 0.1  # chosen: rpm changes by that much while a peak is smeared
 _ONE_HZ = 1.5  # chosen: two loops nearer than this follow one line
 MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
+SILENT_NS = 500_000_000  # chosen: searches come once a second, and streams arrive within a tenth of one
 _LOWEST_HZ = 45.0  # chosen: a shaft is first found above, for a notch below bends the phase of the second bending mode
 _HIGHEST_RATIO = 0.45  # chosen: of the sample rate
 _MIN_RATIO = 60.0  # derived: peak over median; noise exceeds it once in 2^60 bins
@@ -80,13 +81,13 @@ class SampleRing:
         return self._runs[0]
 
     def window(self, until_ns: int) -> tuple[Floats, Floats] | None:
-        """Instants (n,), s, and samples (n, 6) before one; None without a full window or from too slow a stream."""
+        """Instants (n,), s, and samples (n, 6) before one; None where it is not full or the stream slow or silent."""
         t_ns, values = self.held()
         count, last = int(0.95 * WINDOW_S * self.rate_hz), int(np.searchsorted(t_ns, until_ns))
         if self.rate_hz < MIN_RATE_HZ or last < count:
             return None
         lasts_s = (t_ns[last - 1] - t_ns[last - count]) * 1e-9
-        if lasts_s >= WINDOW_S:
+        if lasts_s >= WINDOW_S or until_ns - t_ns[last - 1] > SILENT_NS:
             return None
         return (t_ns[last - count : last] - until_ns) * np.float64(1e-9), values[last - count : last]
 
