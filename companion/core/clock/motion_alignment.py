@@ -17,7 +17,7 @@ estimator then treats such a node like any other, bound, skew, restart and all.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -83,7 +83,7 @@ class MotionAlignment:
 
     def __init__(self, clock: ClockName) -> None:
         self.clock = clock
-        self._turns = False
+        self._turns: list[int] = []  # rates that the node measures
         self._delay_s = (0.0, 0.0)
         self._lever_m: Floats = np.zeros(3)
         self._node, self._root = _Series(), _Series()
@@ -105,7 +105,7 @@ class MotionAlignment:
 
     def add_node(self, batch: ImuBatch) -> None:
         """Take samples of the node, stamps on its own clock."""
-        self._turns = bool(batch.axes & Axis.GYRO)
+        self._turns = [k for k, axis in enumerate((Axis.P, Axis.Q, Axis.R)) if axis & batch.axes]
         self._node.add(batch.t_ns, batch.values)
         newest = int(batch.t_ns[-1])
         if self._arrivals and newest < self._arrivals[-1][0] - 1_000_000_000:
@@ -166,7 +166,7 @@ class MotionAlignment:
     def _measured(self, node_s: Floats, node: Floats, root_s: Floats, root: Floats, span_s: float) -> Lag | None:
         most_s, (force_s, turn_s) = MOST_DELAY_NS * 1e-9, self._delay_s
         if self._turns:
-            return lag_between(node_s, node[:, 3:], root_s - turn_s, root[:, 3:], span_s, most_s)
+            return lag_between(node_s, node[:, 3:], root_s - turn_s, root[:, 3:], span_s, most_s, self._turns)
         edges = _edges(span_s, most_s)
         force, rates = _means(root_s - force_s, root[:, :3], edges), _means(root_s - turn_s, root[:, 3:], edges)
         return heave_lag(node_s, node[:, 2:3], carried(force, rates, self._lever_m), span_s, most_s)
@@ -177,7 +177,15 @@ def lowpass_delay_s(cutoff_hz: float) -> float:
     return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz) if cutoff_hz > 0 else 0.0
 
 
-def lag_between(node_s: Floats, node: Floats, root_s: Floats, root: Floats, span_s: float, most_s: float) -> Lag | None:
+def lag_between(
+    node_s: Floats,
+    node: Floats,
+    root_s: Floats,
+    root: Floats,
+    span_s: float,
+    most_s: float,
+    axes: Sequence[int] = (0, 1, 2),
+) -> Lag | None:
     """Find by how much the node's series is late against the root's.
 
     Parameters
@@ -190,6 +198,8 @@ def lag_between(node_s: Floats, node: Floats, root_s: Floats, root: Floats, span
         Both series cover 0 to this.
     most_s : float
         The largest lag.
+    axes : sequence of int
+        Those that the node measures; its other columns are not looked at.
 
     Returns
     -------
@@ -199,7 +209,9 @@ def lag_between(node_s: Floats, node: Floats, root_s: Floats, root: Floats, span
     edges = _edges(span_s, most_s)
     reference, slope = _smoothed(_means(root_s, root, edges), _SMOOTH_S)
     others = np.hstack([reference, np.gradient(slope, _CELL_S, axis=0)])
-    return _searched(node_s, node, edges, _Reference(reference, slope, others, _SMOOTH_S), most_s)
+    measured = list(axes)
+    compared = _Reference(reference[:, measured], slope[:, measured], others, _SMOOTH_S)
+    return _searched(node_s, node[:, measured], edges, compared, most_s)
 
 
 def carried(force_mps2: Floats, rates_radps: Floats, lever_m: Floats) -> Floats:
