@@ -68,6 +68,12 @@ def test_only_texture_seen_beyond_the_largest_range_makes_clear() -> None:
     assert sectors.clear[SECTORS // 2] == sectors.known[SECTORS // 2] == False  # noqa: E712 (behind: never looked)
 
 
+def test_rays_that_part_ahead_of_the_cameras_clear_nothing() -> None:
+    directions = _at(0.0, 1.0)
+    sectors = sectors_of(directions, np.full(3, -0.05), np.full(3, 5e-4), np.zeros(3), 77, SETTINGS)
+    assert not sectors.clear.any()
+
+
 def test_far_texture_that_may_be_nearer_does_not_clear() -> None:
     assert _sectors(_at(0.0, 260.0), relative_sigma=0.02).clear[0]
     assert not _sectors(_at(0.0, 260.0), relative_sigma=0.4).clear.any()

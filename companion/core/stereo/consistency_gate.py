@@ -271,8 +271,12 @@ def precise(inverse_pm: Floats, sigma_pm: Floats, settings: Settings) -> Bools:
 
 
 def surely_beyond(inverse_pm: Floats, sigma_pm: Floats, slant: Floats, settings: Settings) -> Bools:
-    """Whether (n,) points lie beyond the largest range; ``slant`` is their horizontal distance per unit of depth."""
-    beyond: Bools = (inverse_pm + _SURE_SIGMAS * sigma_pm) * settings.max_range_m < slant
+    """Whether (n,) points lie beyond the largest range; ``slant`` is their horizontal distance per unit of depth.
+
+    Rays that surely part ahead of the cameras meet nowhere: a wrong match, which clears nothing.
+    """
+    room = _SURE_SIGMAS * sigma_pm
+    beyond: Bools = ((inverse_pm + room) * settings.max_range_m < slant) & (inverse_pm > -room)
     return beyond
 
 
