@@ -17,6 +17,7 @@ from companion.core.pipeline_state import PipelineState, start
 from companion.core.pipeline_status import status, tracked, unlearned
 from companion.core.silence import TELLING
 from companion.core.stereo.consistency_gate import RANGE_MEMORY_NS
+from companion.core.stereo.vehicle_motion import velocity_of
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
 from companion.core.tracking.tracker import WingTracker
@@ -109,7 +110,7 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
 
 def _rebuild(state: PipelineState, airframe: Airframe) -> None:
     """Start the tracker with another airframe; one that no tracker can be built for does not stay."""
-    state.tracker = WingTracker(airframe, state.settings)
+    state.tracker, state.validity = WingTracker(airframe, state.settings), None
     state.airframe = airframe
 
 
@@ -319,7 +320,7 @@ def _motion(state: PipelineState, now_ns: int) -> GroundMotion:
     measured = state.correction.last_trusted if state.correction else None
     if state.vehicle is None or measured is None or now_ns - measured.t_host_ns > RANGE_MEMORY_NS:
         return GroundMotion()
-    return GroundMotion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
+    return GroundMotion(velocity_of(state.vehicle), measured.range_m)
 
 
 _Handler = Callable[[PipelineState, Any], list[OutputRecord]]

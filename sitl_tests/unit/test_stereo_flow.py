@@ -457,6 +457,15 @@ def test_a_turn_is_integrated_where_rates_are_there() -> None:
     assert track.between(900_000_000, 1_300_000_000) is None, "rates are missing for 0.2 s"
 
 
+def test_a_gap_of_the_rates_counts_whole_where_a_turn_begins_or_ends_in_it() -> None:
+    track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
+    sent = (t_ns <= 455_000_000) | (t_ns >= 545_000_000)
+    track.add(t_ns[sent], np.zeros((int(sent.sum()), 3)))
+    assert track.between(500_000_000, 700_000_000) is None
+    assert track.between(300_000_000, 500_000_000) is None
+    assert track.between(545_000_000, 700_000_000) is not None
+
+
 def test_rates_whose_stamps_repeat_are_left_out_and_a_jump_of_stamps_heals() -> None:
     track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
     rates = np.tile([0.0, 0.0, 0.1], (len(t_ns), 1))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.vehicle_motion import STILL, VehicleTrack
+from companion.core.stereo.vehicle_motion import VehicleTrack, velocity_of
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, RelativeRotation, Side, VehicleState
 from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
@@ -43,6 +45,22 @@ def test_a_bank_turns_the_climb_toward_the_lower_wing() -> None:
     assert track.motion(AT_NS).velocity_mps == pytest.approx([np.sqrt(22.0**2 - 9.0), -3.0, 0.0], abs=1e-9)
 
 
+def test_a_state_by_itself_has_the_velocity_of_its_track() -> None:
+    """Over ground where it is told: with 10 m/s of tailwind 22 m/s through the air are 32 m/s."""
+    for ned in (None, (32.0 * np.cos(1.0), 32.0 * np.sin(1.0), -1.0)):
+        state = dataclasses.replace(_state(AT_NS, 0.3, 0.1, 1.0), velocity_ned_mps=ned)
+        track = VehicleTrack()
+        track.add(state)
+        assert velocity_of(state) == pytest.approx(track.motion(AT_NS).velocity_mps, abs=1e-9)
+    assert np.linalg.norm(velocity_of(state)) == pytest.approx(np.hypot(32.0, 1.0))
+
+
+def test_what_nobody_tells_is_uncertain() -> None:
+    motion = VehicleTrack().motion(AT_NS)
+    assert not motion.velocity_mps.any()
+    assert np.sqrt(np.diag(motion.covariance)) == pytest.approx([3.0, 3.0, 0.5])
+
+
 def test_the_covariance_is_of_wind_in_every_attitude() -> None:
     """Wind is level: banked by 90 degrees its cross part lies along body z."""
     level, banked = (_flying(0.0, roll).motion(AT_NS).covariance for roll in (0.0, np.pi / 2.0))
@@ -52,7 +70,7 @@ def test_the_covariance_is_of_wind_in_every_attitude() -> None:
 
 def test_between_two_states_all_is_interpolated_and_old_attitudes_are_left_out() -> None:
     track = VehicleTrack()
-    assert track.motion(AT_NS) is STILL
+    assert not track.motion(AT_NS).velocity_mps.any()
     assert track.attitude(AT_NS) is None
     track.add(_state(AT_NS, 0.1, 0.0, 0.0, 20.0))
     track.add(_state(AT_NS + 200 * MS, 0.3, 0.1, 2.0, 24.0))

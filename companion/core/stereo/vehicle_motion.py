@@ -49,7 +49,8 @@ class VehicleMotion:
 
 
 STILL = VehicleMotion(np.zeros(3), np.zeros((3, 3)))
-"""Where nobody tells how the aircraft flies."""
+"""Cameras that do not move."""
+_UNTOLD = VehicleMotion(np.zeros(3), np.diag(np.square(_UNTOLD_MPS)))  # where nobody tells how the aircraft flies
 
 
 @dataclass(slots=True)
@@ -89,7 +90,7 @@ class VehicleTrack:
     def motion(self, t_host_ns: int) -> VehicleMotion:
         """Velocity at an instant, by airspeed, climb rate and attitude; along the body's x where none is nearby."""
         if not self._near(t_host_ns):
-            return STILL if self.newest is None else _motion(self.newest.airspeed_mps, 0.0, 0.0, 0.0)
+            return _UNTOLD if self.newest is None else _motion(self.newest.airspeed_mps, 0.0, 0.0, 0.0)
         around = self._around(t_host_ns)
         if all(state.velocity_ned_mps is not None for state in around):
             return self._over_ground(t_host_ns, around)
@@ -105,9 +106,7 @@ class VehicleTrack:
         since_s = [1e-9 * (state.received_host_ns - t_host_ns) for state in around]
         ned_mps = np.array([state.velocity_ned_mps for state in around], dtype=np.float64)
         velocity_mps = np.array([np.interp(0.0, since_s, axis) for axis in ned_mps.T])
-        turns = ((roll_rad, 0), (pitch_rad, 1), (yaw_rad, 2))
-        x, y, z = (exp_rotation(-angle * np.eye(3)[axis]) for angle, axis in turns)
-        velocity: Floats = x @ y @ z @ velocity_mps
+        velocity = _in_body_axes(velocity_mps, roll_rad, pitch_rad, yaw_rad)
         speed_mps = float(np.linalg.norm(velocity))
         sigma_mps = np.hypot(_stated_mps(around), speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
         return VehicleMotion(velocity, np.diag(sigma_mps**2), over_ground=True)
@@ -127,6 +126,21 @@ class VehicleTrack:
 
     def _since_s(self, t_host_ns: int) -> list[float]:
         return [1e-9 * (state.received_host_ns - t_host_ns) for state in self._states]
+
+
+def velocity_of(state: VehicleState) -> Floats:
+    """Velocity (3,), m/s, body axes, of one state: over ground where it tells that, else by airspeed and climb."""
+    if state.velocity_ned_mps is None:
+        return _motion(state.airspeed_mps, state.climb_mps, state.roll_rad, state.pitch_rad).velocity_mps
+    return _in_body_axes(np.array(state.velocity_ned_mps), state.roll_rad, state.pitch_rad, state.yaw_rad)
+
+
+def _in_body_axes(ned_mps: Floats, roll_rad: float, pitch_rad: float, yaw_rad: float) -> Floats:
+    """Vector (3,), north east down, in the axes of a body with this attitude."""
+    turns = ((roll_rad, 0), (pitch_rad, 1), (yaw_rad, 2))
+    x, y, z = (exp_rotation(-angle * np.eye(3)[axis]) for angle, axis in turns)
+    in_body: Floats = x @ y @ z @ ned_mps
+    return in_body
 
 
 def _stated_mps(around: list[VehicleState]) -> float:
@@ -186,10 +200,10 @@ class TurnTrack:
             return None
         t_ns = np.concatenate([each[0] for each in near])
         rates = np.concatenate([each[1] for each in near])
-        inside = (t_ns > from_ns) & (t_ns < until_ns)
-        nodes_ns = np.concatenate([[from_ns], t_ns[inside], [until_ns]])
-        if t_ns[0] > from_ns or t_ns[-1] < until_ns or int(np.diff(nodes_ns).max()) > _RATE_GAP_NS:
+        first, last = np.searchsorted(t_ns, from_ns, side="right"), np.searchsorted(t_ns, until_ns)
+        if first == 0 or last == len(t_ns) or int(np.diff(t_ns[first - 1 : last + 1]).max()) > _RATE_GAP_NS:
             return None
+        nodes_ns = np.concatenate([[from_ns], t_ns[first:last], [until_ns]])
         s = 1e-9 * (t_ns - from_ns)
         at_s = 1e-9 * (nodes_ns - from_ns)
         at = np.column_stack([np.interp(at_s, s, axis) for axis in rates.T])
