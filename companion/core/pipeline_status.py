@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from companion.core.pipeline_state import PipelineState
 from companion.core.silence import NO_PAIRS
 from companion.params.airframe import Airframe
@@ -14,8 +12,7 @@ from companion.units import Severity
 def status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Records that tell how the service is: each clock, the trigger's latency, why no range comes, health."""
     health, reason = _health(state, now_ns)
-    clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
-    clocks = [clock if clock.at_host_ns else dataclasses.replace(clock, at_host_ns=now_ns) for clock in clocks]
+    clocks = [state.clocks.state(name, now_ns) for name in _clocks_in_use(state.airframe)]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
     say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
     return [
@@ -32,11 +29,12 @@ def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
 
 
 def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
-    unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name).synced]
+    unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name, now_ns).synced]
     if state.validity is None:
         return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
-    if unsynced:
-        return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
+    lost = f"lost sync with {', '.join(unsynced)}" if unsynced else ""
+    if lost and not tracked(state):
+        return Health.CRITICAL, lost
     if state.scheduling is not None and state.scheduling.blind(now_ns):
         return Health.CRITICAL, NO_PAIRS
     if tracked(state):
@@ -44,7 +42,9 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
         if early is not None:
             return Health.STANDBY, f"{state.validity}; no range yet: {early}"
         silence = state.silence.reason(state.settings) if state.correction is not None else None
-        return (Health.ACTIVE, motion_text(state)) if silence is None else (Health.STANDBY, silence)
+        if silence is not None:
+            return Health.STANDBY, silence
+        return Health.ACTIVE, "; ".join(filter(None, (motion_text(state), lost)))  # one tip is enough
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)

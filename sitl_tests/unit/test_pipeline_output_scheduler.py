@@ -12,19 +12,23 @@ from hypothesis import strategies as st
 
 from companion.core.output_scheduler import OutputScheduler
 from companion.core.pipeline import start
-from companion.core.pipeline_status import motion_text
+from companion.core.pipeline_status import motion_text, status
 from companion.core.stereo.consistency_gate import RangeGate
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
     Axis,
+    ClockName,
+    ClockState,
     CorrectedRange,
     ModeEstimate,
     ModeState,
     NoRange,
     OutputRecord,
     Reject,
+    ServiceStatus,
     Station,
+    TimesyncReply,
     Validity,
 )
 
@@ -243,3 +247,18 @@ def test_a_pair_that_looks_ahead_takes_the_next_obstacle_for_no_knock() -> None:
     gate = RangeGate(0.0, lasting_surface=False)
     assert verdicts(gate, [80.0] * 3 + [30.0] * 4) == [False, False, True, False, False, True, True]
     assert not gate.jumped
+
+
+def test_a_clock_that_fell_silent_is_told_as_lost() -> None:
+    """At its last exchange it was synced for ever."""
+    state = start(load_airframe("nadir-2m"), Settings())
+    for k in range(60):
+        sent_ns = (1000 + k) * S // 10
+        for clock in ("boot", "node_left", "node_right"):
+            state.clocks.exchange(TimesyncReply(ClockName(clock), sent_ns, sent_ns + 10**6, sent_ns + 2 * 10**6))
+    state.validity = Validity.STALE
+    for later_ns, synced in ((0, True), (60 * S, False)):
+        records = status(state, sent_ns + 2 * 10**6 + later_ns)
+        assert {entry.synced for entry in records if isinstance(entry, ClockState)} == {synced}
+        (told,) = (entry for entry in records if isinstance(entry, ServiceStatus))
+        assert told.reason.startswith("lost sync with boot") is not synced
