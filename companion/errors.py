@@ -6,6 +6,7 @@ SpanwiseError                   the base; ``str()`` says what was wrong, where, 
 ├── RecordingError              a recording that cannot be read
 │   └── TableError              a CSV table: file, line and column are named
 ├── LinkError                   a MAVLink connection that cannot be opened or was lost
+│   └── LinkDown                it is spelled well, and nothing is at its other end now
 ├── DeviceError                 a camera, trigger or clock device
 └── MissingExtra                an optional dependency that is not installed
 """
@@ -53,6 +54,10 @@ class TableError(RecordingError):
 
 class LinkError(SpanwiseError):
     """A MAVLink connection cannot be opened, or was lost."""
+
+
+class LinkDown(LinkError):
+    """A MAVLink connection has nothing at its other end: a device is unplugged, a server is not up."""
 
 
 class DeviceError(SpanwiseError):

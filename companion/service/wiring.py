@@ -24,7 +24,7 @@ from companion.adapters.systemd import ServiceManager
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
-from companion.errors import ConfigError, SpanwiseError
+from companion.errors import ConfigError, LinkDown, SpanwiseError
 from companion.live.broadcaster import require_live
 from companion.live.door import listen
 from companion.live.feed import FeedEnd, Interest, LiveFeed
@@ -54,7 +54,7 @@ class Service(Supervisor):
     def __init__(self, config: ServiceConfig) -> None:
         super().__init__(MonotonicClock())
         _check_settings(config)
-        _try_links(config)
+        self._unsaid = _try_links(config)
         self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-")
         if config.parameters is None:  # what is set must outlive a restart of the process, if not of the service
             config = dataclasses.replace(config, parameters=Path(self._scratch.name) / "parameters")
@@ -107,7 +107,7 @@ class Service(Supervisor):
 
     def tend(self) -> list[str]:
         """As the supervisor's; the ground hears of it too."""
-        sentences = super().tend()
+        sentences, self._unsaid = self._unsaid + super().tend(), []
         for sentence in sentences:
             self._say.send(_warning(sentence))
         return sentences
@@ -135,13 +135,23 @@ class _NoShots:
         return []
 
 
-def _try_links(config: ServiceConfig) -> None:
-    """Open and close every link once, so that a wrong one is told to the user and not to a log."""
+def _try_links(config: ServiceConfig) -> list[str]:
+    """Open and close every link once, so that a wrong one is told to the user and not to a log.
+
+    Sentences are of links that are down; where all are, the first of them is raised.
+    """
     clock = MonotonicClock()
     if config.signing_key is not None:
         load_signing(config.signing_key, clock)
+    down: list[LinkDown] = []
     for number, spelling in enumerate(config.connections):
-        open_link(spelling, clock, number).close()
+        try:
+            open_link(spelling, clock, number).close()
+        except LinkDown as error:
+            down.append(error)
+    if down and len(down) == len(config.connections):
+        raise down[0]
+    return [f"{error} (it is waited for; the service runs without it)" for error in down]
 
 
 class _Recorders:
@@ -206,7 +216,7 @@ def _inertial_process(
         return
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
-    links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
+    links = [open_link(link, clock, n, signing, may_be_down=True) for n, link in enumerate(config.connections)]
     firing = link_firing(config.trigger)
     autopilot = MavlinkAutopilot(
         links, config.airframe, config.settings, clock, component=_component(config, signing), firing=firing or CAMERAS

@@ -20,7 +20,7 @@ from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link, open_link
 from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.adapters.mavlink.link.tcp import TcpServer
 from companion.adapters.mavlink.link.udp import UdpIn
-from companion.errors import LinkError
+from companion.errors import LinkDown, LinkError
 from sitl_tests.ports import free_port
 
 S = 1_000_000_000
@@ -236,6 +236,26 @@ def test_a_lost_tcp_connection_comes_back(held: Held) -> None:
     assert read(link, 3) == b"two"
     assert link.write(b"back")
     assert second.recv(10) == b"back"
+
+
+def test_a_tcp_server_that_is_not_up_is_waited_for_without_blocking(held: Held) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with pytest.raises(LinkDown, match="nothing listens there"):
+        open_link(f"tcp:127.0.0.1:{port}", RealClock())
+    begin = time.monotonic()
+    link = open_link(f"tcp:127.0.0.1:{port}", RealClock(), may_be_down=True)
+    held.stack.callback(link.close)
+    assert read(link, 1, within_s=0.1) == b""
+    assert (link.fileno(), link.write(b"lost")) == (-1, False)
+    assert time.monotonic() - begin < 1.0
+    server = held.listener(port)
+    while link.fileno() < 0 and time.monotonic() - begin < 5:
+        link.read()
+        time.sleep(0.01)
+    peer, _ = server.accept()
+    held.stack.callback(peer.close)
+    peer.sendall(b"up")
+    assert read(link, 2) == b"up"
 
 
 def test_a_tcp_peer_that_does_not_read_blocks_nothing_and_takes_bounded_memory(held: Held) -> None:

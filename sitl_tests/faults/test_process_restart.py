@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.triggers.process import TriggerLink, line_pair
 from companion.adapters.triggers.wire import Realtime, pack_report
+from companion.errors import LinkDown, LinkError
 from companion.params.files import load_airframe
 from companion.params.persist import load_stored
 from companion.params.settings import Settings
@@ -25,6 +26,7 @@ from companion.records import ClockName, Frame, MatchSet, Shot, Side, TriggerPla
 from companion.service import wiring
 from companion.service.channel import channel
 from companion.service.config import ServiceConfig
+from companion.service.supervisor import Supervisor
 from companion.service.wiring import Service, resumed
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
@@ -157,6 +159,37 @@ def test_a_killed_inertial_process_is_missed_for_less_than_two_seconds(port: int
         away_s = [killed_and_back(service, vehicle) for _ in range(2)]
         print("answered again after", away_s)
         assert max(away_s) < 2.0
+
+
+NO_NODE = "/dev/no-such-node,921600"
+
+
+def test_a_link_that_is_down_is_told_and_the_service_goes_on_without_it(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    airframe, settings = load_airframe("nadir-2m"), Settings()
+    service = Service(ServiceConfig(airframe, settings, (f"udpin:127.0.0.1:{port}", NO_NODE)))
+    monkeypatch.setattr(Supervisor, "tend", lambda _: [])  # no process is started
+    (sentence,) = service.tend()
+    assert "/dev/no-such-node: no such device" in sentence
+    assert service.tend() == [], "said once"
+    service.stop()
+    with pytest.raises(LinkDown, match="no-such-node"):
+        Service(ServiceConfig(airframe, settings, (NO_NODE,)))
+    with pytest.raises(LinkError, match="baud rate"):
+        Service(ServiceConfig(airframe, settings, (f"udpin:127.0.0.1:{port}", "/dev/no-such-node,fast")))
+
+
+def test_the_inertial_process_starts_without_a_link_that_is_down(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wiring, "_ignore_interrupt", lambda: None)
+    turns: list[list[Any]] = []
+    monkeypatch.setattr(wiring.inertial, "run", lambda loop, _: turns.append(list(loop.autopilot.poll(0.01))))
+    (_, matches), (shown, _) = channel(), channel()
+    for connections in ((NO_NODE,), (NO_NODE, f"udpin:127.0.0.1:{port}")):
+        config = ServiceConfig(load_airframe("nadir-2m"), Settings(), connections)
+        stop: Any = threading.Event()
+        wiring._inertial_process(config, {}, None, matches, None, shown, None, None, None, stop)
+    assert len(turns) == 2
 
 
 class Flashes:

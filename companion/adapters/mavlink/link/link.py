@@ -83,8 +83,12 @@ class Link:
         self._transport.close()
 
 
-def open_link(spelling: str, clock: Clock, number: int = 0, signing: Signing | None = None) -> Link:
+def open_link(
+    spelling: str, clock: Clock, number: int = 0, signing: Signing | None = None, *, may_be_down: bool = False
+) -> Link:
     """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
+
+    With ``may_be_down`` a serial device or TCP server that is not there is waited for, as one that was lost.
 
     Raises
     ------
@@ -92,21 +96,21 @@ def open_link(spelling: str, clock: Clock, number: int = 0, signing: Signing | N
         The spelling is wrong, or the connection cannot be opened; the message says what to do.
     """
     address = parse_link(spelling)
-    transport = _open_transport(address)
+    transport = _open_transport(address, may_be_down=may_be_down)
     if signing is not None:
         transport = SignedTransport(transport, signing, number)
     return Link(number, str(address), transport, clock, knocks=address.kind is LinkKind.UDP_CALL)
 
 
-def _open_transport(address: LinkAddress) -> Transport:
+def _open_transport(address: LinkAddress, *, may_be_down: bool) -> Transport:
     match address.kind:
         case LinkKind.UDP_LISTEN:
             return UdpIn(address.host, address.port)
         case LinkKind.UDP_CALL:
             return UdpOut(address.host, address.port)
         case LinkKind.TCP_CALL:
-            return TcpClient(address.host, address.port)
+            return TcpClient(address.host, address.port, may_be_down=may_be_down)
         case LinkKind.TCP_LISTEN:
             return TcpServer(address.host, address.port)
         case LinkKind.SERIAL:
-            return SerialTransport(address.host, address.port)
+            return SerialTransport(address.host, address.port, may_be_down=may_be_down)

@@ -10,23 +10,30 @@ from typing import Any
 import serial
 
 from companion.adapters.mavlink.link.reconnect import Backoff
-from companion.errors import LinkError
+from companion.errors import LinkDown, LinkError
 
 _MOST_UNSENT_BYTES = 16384  # bound of memory: 1.4 s at 115,200 baud; what would be older is refused
+_AWAY = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO)  # of a device that is unplugged (convention)
 
 
 class SerialTransport:
-    """Reads and writes a serial device without blocking."""
+    """Reads and writes a serial device without blocking.
 
-    def __init__(self, path: str, baud: int) -> None:
+    With ``may_be_down`` a device that cannot be opened is one that was lost, and is looked for again.
+    """
+
+    def __init__(self, path: str, baud: int, *, may_be_down: bool = False) -> None:
         self._path = path
         self._baud = baud
         self._backoff = Backoff()
         self._unsent = bytearray()
+        self._port: Any = None
         try:
-            self._port: Any = self._open()
+            self._port = self._open()
         except (OSError, ValueError, termios.error) as error:
-            raise LinkError(_advice(path, baud, error)) from error
+            if not may_be_down:
+                refused = LinkDown if getattr(error, "errno", None) in _AWAY else LinkError
+                raise refused(_advice(path, baud, error)) from error
 
     def fileno(self) -> int:
         """Descriptor of the device, or -1 while it is away."""

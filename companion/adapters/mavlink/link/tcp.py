@@ -8,7 +8,7 @@ import select
 import socket
 
 from companion.adapters.mavlink.link.reconnect import Backoff
-from companion.errors import LinkError
+from companion.errors import LinkDown, LinkError
 
 _FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, and the start is not held up longer
 _MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
@@ -54,18 +54,20 @@ class _BufferedSocket:
 
 
 class TcpClient:
-    """Calls an address; after a loss it calls again with growing pauses, without blocking."""
+    """Calls an address; after a loss it calls again with growing pauses, without blocking.
 
-    def __init__(self, host: str, port: int) -> None:
+    With ``may_be_down`` the first call does not block either: it begins with the first :meth:`receive`.
+    """
+
+    def __init__(self, host: str, port: int, *, may_be_down: bool = False) -> None:
         where = f"tcp:{host}:{port}"
         try:
             self._address = (socket.gethostbyname(host), port)
-            connection = socket.create_connection(self._address, timeout=_FIRST_CONNECT_S)
-        except ConnectionRefusedError as error:
-            raise LinkError(f"{where}: nothing listens there; start the autopilot or router first") from error
         except OSError as error:
-            raise LinkError(f"{where}: cannot be reached ({error}); check address and network") from error
-        self._stream: _BufferedSocket | None = _BufferedSocket(connection)
+            raise LinkError(f"{where}: host '{host}' is not known; check the name or use its IP") from error
+        self._stream: _BufferedSocket | None = None
+        if not may_be_down:
+            self._stream = _BufferedSocket(_connected(where, self._address))
         self._calling: socket.socket | None = None
         self._backoff = Backoff()
 
@@ -107,6 +109,15 @@ class TcpClient:
             return
         self._stream = _BufferedSocket(calling)
         self._backoff.succeeded()
+
+
+def _connected(where: str, address: tuple[str, int]) -> socket.socket:
+    try:
+        return socket.create_connection(address, timeout=_FIRST_CONNECT_S)
+    except ConnectionRefusedError as error:
+        raise LinkDown(f"{where}: nothing listens there; start the autopilot or router first") from error
+    except OSError as error:
+        raise LinkDown(f"{where}: cannot be reached ({error}); check address and network") from error
 
 
 class TcpServer:
