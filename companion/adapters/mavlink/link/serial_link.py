@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import fcntl
 import os
 import termios
 from typing import Any
@@ -13,11 +15,12 @@ from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.errors import LinkDown, LinkError
 
 _MOST_UNSENT_BYTES = 16384  # bound of memory: 1.4 s at 115,200 baud; what would be older is refused
+_TAKEN = (errno.EBUSY, errno.EWOULDBLOCK)  # of the kernel's lock and of pyserial's (convention)
 _AWAY = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO)  # of a device that is unplugged (convention)
 
 
 class SerialTransport:
-    """Reads and writes a serial device without blocking.
+    """Reads and writes a serial device without blocking, alone: a second reader would take bytes away.
 
     With ``may_be_down`` a device that cannot be opened is one that was lost, and is looked for again.
     """
@@ -72,7 +75,8 @@ class SerialTransport:
         self._lose()
 
     def _open(self) -> Any:
-        port = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0)
+        port = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0, exclusive=True)
+        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)  # for programs that do not ask for the lock (root may still open)
         os.set_blocking(port.fileno(), False)
         # pyserial lets a read without data return nothing, which is what a device that was unplugged does too
         attributes = termios.tcgetattr(port.fileno())
@@ -91,6 +95,8 @@ class SerialTransport:
     def _lose(self) -> None:
         self._unsent.clear()
         if self._port is not None:
+            with contextlib.suppress(OSError):  # it would last for as long as another program has the device open
+                fcntl.ioctl(self._port.fileno(), termios.TIOCNXCL)
             self._port.close()
             self._port = None
 
@@ -110,8 +116,8 @@ def _advice(path: str, baud: int, error: Exception) -> str:
         return f"{path}: no such device; check the cable and 'ls /dev/serial/by-id'"
     if number == errno.EACCES:
         return f"{path}: permission denied; add yourself to the group 'dialout' and log in again"
-    if number == errno.EBUSY:
-        return f"{path}: the device is in use; stop the other program (ModemManager, MAVProxy?)"
+    if number in _TAKEN:
+        return f"{path}: the device is in use; stop the other program (a second spanwise, MAVProxy, ModemManager?)"
     if isinstance(error, ValueError):
         return f"{path}: baud rate {baud} is not supported by this device"
     return f"{path}: {error}"
