@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
     parser.add_argument(
         "--router", action=argparse.BooleanOptionalAction,
-        help="configure mavlink-router, and listen to it (default: where it is installed)",
+        help="configure mavlink-router for the first link, and listen to it (default: where it is installed)",
     )  # fmt: skip
     parser.add_argument("--program", metavar="FILE", help="the spanwise that the service starts; default: this one")
 

@@ -20,7 +20,7 @@ _ROUTERS = ("usr/bin/mavlink-routerd", "usr/local/bin/mavlink-routerd")
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """Empty ``cameras`` or ``trigger``: none. With ``router`` mavlink-router has the links.
+    """Empty ``cameras`` or ``trigger``: none. With ``router`` mavlink-router has the first link, the autopilot's.
 
     ``program`` is what the service starts, empty where nobody named it.
     """
@@ -42,7 +42,7 @@ class Choices:
     @property
     def listening(self) -> tuple[str, ...]:
         """Links of the service itself."""
-        return (_ROUTED,) if self.router else self.links
+        return (_ROUTED, *self.links[1:]) if self.router else self.links
 
 
 def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], overrides: dict[str, Any]) -> Choices:

@@ -27,7 +27,7 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
     system = [NextStep("the system reads the new files", reload)] if here else []
     if restart and here:
         system.append(NextStep("the UART is freed at the next start", "sudo reboot"))
-    router = "sudo systemctl enable --now mavlink-router"
+    router = "sudo systemctl enable mavlink-router; sudo systemctl restart mavlink-router"
     if choices.router:
         system.append(NextStep("the router shares the autopilot out", router))
     steps = [

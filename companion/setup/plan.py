@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from companion.params.links import LinkKind, parse_link
+from companion.params.links import parse_link
 from companion.params.shipped import shipped
 from companion.setup import boards
 from companion.setup.boards import CompanionBoard
@@ -19,6 +19,7 @@ UNIT = "etc/systemd/system/spanwise.service"
 DEFAULTS = "etc/default/spanwise"
 RULES = "etc/udev/rules.d/80-spanwise.rules"
 ROUTER = "etc/mavlink-router/main.conf"
+ROUTER_UNIT = "etc/systemd/system/mavlink-router.service.d/spanwise.conf"
 BESIDE, SAVED = ".spanwise-new", ".spanwise-saved"
 _MARK = re.compile(r"@([A-Z_]+)@")
 
@@ -104,7 +105,8 @@ def _files(tree: Tree, board: CompanionBoard, choices: Choices, program: str) ->
         RULES: _known_groups(_rendered("80-spanwise.rules", values), existing),
     }
     if choices.router:
-        files[ROUTER] = _rendered("mavlink-router.conf", values | _serial_links(choices))
+        files[ROUTER] = _rendered("mavlink-router.conf", values | {"AUTOPILOT": _autopilot(choices)})
+        files[ROUTER_UNIT] = _rendered("mavlink-router.service.conf", values)
     return {name: text.encode() for name, text in files.items()}
 
 
@@ -121,11 +123,10 @@ def _known_groups(rules: str, existing: list[str]) -> str:
     return "".join(f"{line}\n" for line in rules.splitlines() if not any(word in line for word in absent))
 
 
-def _serial_links(choices: Choices) -> dict[str, str]:
-    """Device and rate of the autopilot and of nodes that are wired to the companion, as mavlink-router has them."""
-    serial = [link for link in map(parse_link, choices.links) if link.kind is LinkKind.SERIAL]
-    lines = [f"Device = {link.host}\nBaud = {link.port}" for link in serial]
-    return dict(zip(("AUTOPILOT", "LEFT", "RIGHT"), lines, strict=False))
+def _autopilot(choices: Choices) -> str:
+    """Device and rate of the autopilot, as mavlink-router has them."""
+    link = parse_link(choices.links[0])
+    return f"Device = {link.host}\nBaud = {link.port}"
 
 
 def _written(tree: Tree, name: str, data: bytes, previous: Manifest) -> list[Change]:

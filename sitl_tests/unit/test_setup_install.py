@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import configparser
 import os
+import re
 import shlex
 import stat
 import tempfile
@@ -21,6 +23,7 @@ UNIT = "etc/systemd/system/spanwise.service"
 DEFAULTS = "etc/default/spanwise"
 RULES = "etc/udev/rules.d/80-spanwise.rules"
 ROUTER = "etc/mavlink-router/main.conf"
+ROUTER_UNIT = "etc/systemd/system/mavlink-router.service.d/spanwise.conf"
 MANIFEST = "var/lib/spanwise-setup/manifest.json"
 
 
@@ -212,20 +215,32 @@ def test_undo_takes_the_edit_alone_out_of_a_boot_file_that_was_changed_since(pi5
 def test_the_router_keeps_the_nodes_off_autopilot_and_radio(pi5: Path) -> None:
     write(pi5, "usr/bin/mavlink-routerd", "", 0o755)
     setup(pi5)
-    sections = {
-        block.splitlines()[0]: block for block in (pi5 / ROUTER).read_text().split("\n\n") if block.startswith("[")
-    }
     text = (pi5 / ROUTER).read_text()
     for section in ("[UartEndpoint autopilot]", "[UdpEndpoint ground]"):
         assert "BlockSrcCompOut = 200,201" in text.split(section)[1].split("\n\n")[0]
     assert "BlockMsgIdOut = 105" in text.split("[UdpEndpoint ground]")[1]
     assert "Block" not in text.split("[UdpEndpoint spanwise]")[1].split("\n\n")[0], "the service gets everything"
-    assert "Device = /dev/spanwise-left\nBaud = 921600" in sections["[UartEndpoint left]"]
-    assert 'SPANWISE_LINKS="--connect udpin:127.0.0.1:14550"' in (pi5 / DEFAULTS).read_text()
+    assert 'SPANWISE_LINKS="--connect udpin:127.0.0.1:14550 --connect /dev' in (pi5 / DEFAULTS).read_text()
     setup(pi5, "--link", "/dev/ttyAMA0,460800")
-    text = (pi5 / ROUTER).read_text()
-    assert "Device = /dev/ttyAMA0\nBaud = 460800" in text
-    assert "UartEndpoint left" not in text, "nodes that are not wired to the companion come another way"
+    assert "Device = /dev/ttyAMA0\nBaud = 460800" in (pi5 / ROUTER).read_text()
+    assert 'SPANWISE_LINKS="--connect udpin:127.0.0.1:14550"' in (pi5 / DEFAULTS).read_text()
+
+
+def test_a_node_that_is_missing_does_not_take_the_router_down(pi5: Path) -> None:
+    """It ends when one serial device cannot be opened: only the autopilot's is its own, and it is started again."""
+    setup(pi5, "--router")
+    text, defaults = (pi5 / ROUTER).read_text(), (pi5 / DEFAULTS).read_text()
+    assert re.findall(r"^\[UartEndpoint (.*)\]$", text, re.MULTILINE) == ["autopilot"]
+    assert re.findall(r"^Device = (.*)$", text, re.MULTILINE) == ["/dev/ttyAMA0"]
+    for side in ("left", "right"):
+        assert f"--connect /dev/spanwise-{side},921600" in defaults, "Spanwise opens it again when it comes"
+    assert "--connect /dev/ttyAMA0" not in defaults
+    added = configparser.ConfigParser()
+    added.read(pi5 / ROUTER_UNIT)
+    assert added["Unit"]["StartLimitIntervalSec"] == "0"
+    assert added["Service"]["RestartSec"] == "1"
+    setup(pi5, "--no-router")
+    assert not (pi5 / ROUTER_UNIT).exists()
 
 
 def test_devices_have_names_by_their_serial_numbers_and_owners_that_exist(pi5: Path) -> None:
