@@ -24,6 +24,7 @@ from companion.adapters.cameras.oak import (
     OakReplayPair,
     OakSensor,
     OakTiming,
+    QueuePair,
     camera_queue,
     configure,
     frame_of,
@@ -258,6 +259,20 @@ def test_without_a_device_the_pair_says_so(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("DEPTHAI_SEARCH_TIMEOUT", SEARCH_MS)
     with pytest.raises(DeviceError, match="DepthAI"):
         OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (640, 480), OakTiming())
+
+
+class Unplugged(QueuePair):
+    """A pair whose left queue was closed, as the library does when a device is gone."""
+
+    def __init__(self) -> None:
+        super().__init__(OakTiming())
+        self._queues = [dai.MessageQueue(), dai.MessageQueue()]
+        self._queues[0].close()
+
+
+def test_a_device_that_was_unplugged_is_a_device_error() -> None:
+    with pytest.raises(DeviceError, match="DepthAI camera: MessageQueue was closed"):
+        Unplugged().poll(0.0)
 
 
 # ------------------------------------------------------------------------------------------------ calibration

@@ -214,13 +214,15 @@ def test_two_services_cannot_hold_one_line_and_a_closed_one_is_free_again() -> N
     SoftEar(line, [], dai).close()
 
 
-def test_what_is_no_word_fires_nothing_and_a_lost_device_ends_the_listening() -> None:
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("lost", [RuntimeError, dai.MessageQueue.QueueException])
+def test_what_is_no_word_fires_nothing_and_a_lost_device_ends_the_listening(lost: type[Exception]) -> None:
     line, heard = _line("words"), []
 
     def send(message: Any) -> None:
         heard.append(message)
         if len(heard) == 2:
-            raise RuntimeError("device is gone")
+            raise lost("device is gone")
 
     ear, trigger = SoftEar(line, [SimpleNamespace(send=send)], dai), OakTrigger(line)
     trigger._socket.sendto(b"too short", line.address)

@@ -66,7 +66,7 @@ class QueuePair:
                     for side, queue in zip(Side, self._queues, strict=True)
                     for image in queue.tryGetAll()
                 ]
-            except RuntimeError as error:
+            except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
                 raise DeviceError(f"DepthAI camera: {error}") from error
             if frames or time.monotonic() >= until:
                 return frames

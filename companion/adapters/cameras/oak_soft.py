@@ -90,6 +90,6 @@ class SoftEar:
         try:
             for queue in self._queues:
                 queue.send(self._dai.Buffer())
-        except RuntimeError:
+        except (RuntimeError, self._dai.MessageQueue.QueueException):
             return False
         return True
