@@ -260,5 +260,5 @@ def test_a_clock_that_fell_silent_is_told_as_lost() -> None:
     for later_ns, synced in ((0, True), (60 * S, False)):
         records = status(state, sent_ns + 2 * 10**6 + later_ns)
         assert {entry.synced for entry in records if isinstance(entry, ClockState)} == {synced}
-        (told,) = (entry for entry in records if isinstance(entry, ServiceStatus))
-        assert told.reason.startswith("lost sync with boot") is not synced
+        (service,) = (entry for entry in records if isinstance(entry, ServiceStatus))
+        assert service.reason.startswith("lost sync with boot") is not synced
