@@ -356,7 +356,7 @@ class Choosing:
         )
         self.records: list[Record] = []
 
-    def run(self, seconds: float, beating: tuple[int, ...], answering: tuple[int, ...] = ()) -> None:
+    def run(self, seconds: float, beating: tuple[int, ...], answering: tuple[int, ...] = (), mode: int = 0) -> None:
         for tick in range(round(seconds / 0.05)):
             self.clock.now += 50 * MS
             self.records += self.pilot.poll(0.0)
@@ -365,7 +365,7 @@ class Choosing:
             for system in beating:
                 packer = mavlink.MAVLink(None, system, PILOT)
                 if tick % 20 == 0:
-                    self.wire.inbox += mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(packer)
+                    self.wire.inbox += mavlink.MAVLink_heartbeat_message(1, 3, mode, 0, 4, 3).pack(packer)
                 for message in asked:
                     if system in answering and message.get_type() == "TIMESYNC" and message.tc1 == 0:
                         answer = mavlink.MAVLink_timesync_message(self.clock.now + system * 1000 * MS, message.ts1)
@@ -389,6 +389,28 @@ def test_one_stray_heartbeat_does_not_own_the_service() -> None:
     assert choosing.served == 1
     assert "autopilot 77/1 is silent: serving 1/1 now" in choosing.texts()
     assert ClockRestart in {type(record) for record in choosing.records}
+
+
+@pytest.mark.parametrize(("answering", "mode"), [((1,), 0), ((), mavlink.MAV_MODE_FLAG_SAFETY_ARMED)])
+def test_an_autopilot_that_answered_or_was_armed_is_served_for_good(answering: tuple[int, ...], mode: int) -> None:
+    choosing = Choosing()
+    choosing.run(10.0, (1,), answering, mode)
+    choosing.run(20.0, (2,), (2,), mode)
+    assert choosing.served == 1, "it reboots"
+    sentence = "autopilot 1/1 is silent; 2/1 is not served: set SW_SYSID or restart Spanwise"
+    assert choosing.texts().count(sentence) == 1
+    choosing.run(10.0, (1, 2), (1, 2), mode)
+    choosing.run(20.0, (2,), (2,), mode)
+    assert choosing.served == 1
+    assert choosing.texts().count(sentence) == 2, "each time"
+    assert ClockRestart not in {type(record) for record in choosing.records}
+
+
+def test_one_armed_heartbeat_of_a_stranger_does_not_own_the_service() -> None:
+    choosing = Choosing()
+    choosing.run(0.1, (77,), (), mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    choosing.run(12.0, (1,), (1,), mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    assert choosing.served == 1
 
 
 def test_a_second_autopilot_is_told_and_changes_nothing_while_the_first_lives() -> None:

@@ -23,6 +23,7 @@ from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.mavlink.link.dialect import ID_OF, NAME_OF, build_message
 from companion.adapters.mavlink.link.scan import Frame, ScanCounters, Scanner, sender
 from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector
+from companion.adapters.mavlink.vehicle.vehicle_choice import VehicleChoice
 from companion.errors import described
 from companion.params.airframe import Airframe
 from companion.records import ClockRestart, ImuBatch, Notice, RawChunk, Record, Reject
@@ -111,9 +112,9 @@ class Decoder:
         return self._translator.system
 
     @property
-    def other_systems(self) -> frozenset[int]:
-        """Further systems whose autopilot was heard."""
-        return frozenset(self._translator.choice.others)
+    def choice(self) -> VehicleChoice:
+        """Which autopilot is served, and which others were heard."""
+        return self._translator.choice
 
     @property
     def armed(self) -> bool:

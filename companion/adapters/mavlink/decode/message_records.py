@@ -227,14 +227,15 @@ class Translator:
         pilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type != mavlink.MAV_TYPE_GCS
         if heard.component != AUTOPILOT_COMPONENT or not pilot:
             return
-        if self.choice.beat(heard.system, heard.received_host_ns):
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.choice.beat(heard.system, heard.received_host_ns, armed=armed):
             self._forget_vehicle()
             for clock in dict.fromkeys(self._mapping.clocks.values()):  # another vehicle, and other clocks
                 self._reset_detector.restart(clock, heard.received_host_ns)
                 yield ClockRestart(clock, heard.received_host_ns)
         if heard.system == self.system:
             self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
-            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            self.armed = armed
             self._on_ground.system_status(message.system_status)
 
     def _timesync(self, heard: Heard) -> Iterator[Record]:

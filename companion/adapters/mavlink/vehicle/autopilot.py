@@ -145,9 +145,7 @@ class MavlinkAutopilot:
                     yield chunk
                     decoded = self.decoder.decode(chunk)
                     self._attend(decoded, chunk.received_host_ns)
-                    yield from self._choices.due(
-                        self.decoder.system_id, self.decoder.other_systems, chunk.received_host_ns
-                    )
+                    yield from self._choices.due(self.decoder.choice, chunk.received_host_ns)
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
         yield from self._unfired
