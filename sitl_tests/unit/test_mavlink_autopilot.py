@@ -15,6 +15,7 @@ from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoder
 from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -200,6 +201,18 @@ def test_requests_of_others_are_answered_with_our_time() -> None:
     (answered,) = [message for message in bench.vehicle.of("TIMESYNC") if message.tc1]
     assert answered.ts1 == 4711
     assert before <= answered.tc1 <= bench.clock.now
+
+
+def test_another_vehicle_is_neither_answered_nor_believed() -> None:
+    bench = Bench()
+    bench.fly(0.05)
+    other = mavlink.MAVLink(None, 4, 1)
+    for name in NEEDED_PARAMETERS:
+        bench.wire.inbox += mavlink.MAVLink_param_value_message(name.encode(), 1.0, 9, 100, 1).pack(other)
+    bench.wire.inbox += mavlink.MAVLink_timesync_message(0, 4711).pack(other)
+    bench.fly(2.0)
+    assert {message.param_id for message in bench.vehicle.of("PARAM_REQUEST_READ")} == set(NEEDED_PARAMETERS)
+    assert not [message for message in bench.vehicle.of("TIMESYNC") if message.tc1]
 
 
 def time_requests(chunks: list[RawChunk]) -> list[RawChunk]:

@@ -182,6 +182,13 @@ def test_another_vehicle_is_foreign_once_ours_is_known() -> None:
     assert len(batches(stream(packed(highres(1), 200, 7)))) == 1
 
 
+def test_another_vehicle_is_foreign_from_the_start_where_ours_is_configured() -> None:
+    stream = Stream()
+    stream.decoder = Decoder(airframe(), component_id=191, system=7)
+    assert refusals(stream(packed(pilot_heartbeat(), 1, 1), packed(highres(1), 200, 1))) == {Reject.FOREIGN_SOURCE: 1}
+    assert len(batches(stream(packed(highres(1), 200, 7)))) == 1
+
+
 def test_ground_stations_and_companions_are_not_the_autopilot() -> None:
     stream = Stream()
     station = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)

@@ -85,7 +85,8 @@ class Decoder:
     component_id
         Our own component id; frames that carry it with the vehicle's system id are echoes of ours.
     system
-        The vehicle's system id where it is configured; 0 for the autopilot that is there.
+        The vehicle's system id where it is configured; 0 for the autopilot that is there, before which samples of any
+        system are read.
     """
 
     def __init__(self, airframe: Airframe, component_id: int, system: int = 0) -> None:
@@ -94,6 +95,7 @@ class Decoder:
         self.delivered: dict[tuple[int, int], int] = {}
         self.echoes = 0
         self._component_id = component_id
+        self._configured = system or None
         self._reset_detector = ClockResetDetector()
         self._translator = Translator(self.mapping, self._reset_detector, self.refusals, system)
         self._scanners: dict[int, Scanner] = {}
@@ -190,6 +192,7 @@ class Decoder:
                 self._count((source.message, source.component), len(run.t_ns))
                 out.records += self._plain[source.station](run, received_ns)
             return
+        vehicle = self._configured if self.system_id is None else self.system_id
         reads: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
         for run in runs:
             source = run.source
@@ -197,7 +200,7 @@ class Decoder:
             reads.append((source.station, self._plain[source.station], (run, received_ns)))
         for frame_key, payloads in many.items():
             system, component, message = sender(frame_key)
-            ours = self.system_id in (None, system)
+            ours = vehicle in (None, system)
             if ours:
                 self._count((message, component), len(payloads))
             if message in self._messages:

@@ -195,13 +195,14 @@ class MavlinkAutopilot:
         """Answer and take note of what concerns the adapter itself."""
         for echo in decoded.echoed:
             self.component.echoed(echo)
-        asked = [heard for heard in decoded.heard if heard.name == "TIMESYNC" and heard.message.tc1 == 0]
-        for heard in asked[:_MOST_ANSWERS]:
+        system = self.decoder.system_id
+        requests = [heard for heard in decoded.heard if heard.name == "TIMESYNC" and heard.message.tc1 == 0]
+        for heard in [heard for heard in requests if heard.system == system][:_MOST_ANSWERS]:
             self._sender.send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
         for heard in decoded.heard:
             self._hear(heard, now_host_ns)
-            if self.decoder.system_id is not None:
-                self.component.hear(heard, self.decoder.system_id)
+            if system is not None:
+                self.component.hear(heard, system)
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
@@ -216,7 +217,7 @@ class MavlinkAutopilot:
             self.rates.acknowledged(heard.message.result, now_host_ns)
         elif heard.name == "COMMAND_ACK" and heard.message.command == self._fired:
             self._acknowledge_shot(heard, now_host_ns)
-        elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
+        elif heard.name == "PARAM_VALUE" and self._from_autopilot(heard):
             self._parameters.arrived(heard.message.param_id)
             if heard.message.param_type in INTEGER_TYPES:
                 self._integer_parameters.add(heard.message.param_id)
@@ -242,17 +243,18 @@ class MavlinkAutopilot:
 
     def _acknowledge_shot(self, heard: Heard, now_host_ns: int) -> None:
         """A shot that the autopilot refuses is a device that failed: counted and told, not mistaken for a late one."""
-        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
         result = heard.message.result
-        if from_autopilot and result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+        if self._from_autopilot(heard) and result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
             what = f"autopilot refused to fire (command {heard.message.command}, result {result})"
             self._unfired.append(Rejected(Reject.DEVICE_FAILED, what, now_host_ns))
 
+    def _from_autopilot(self, heard: Heard) -> bool:
+        return (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
+
     def _is_ours(self, heard: Heard) -> bool:
         message = heard.message
-        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
         to_us = message.target_component in (0, self._settings.component_id)
-        return from_autopilot and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        return self._from_autopilot(heard) and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 
     def set_own_parameter(self, name: str, value: float) -> None:
         """Set one of our own parameters for who is no ground station."""
