@@ -1,4 +1,4 @@
-"""Processes that do not outlive the one that started them, however that one ends."""
+"""Ends of processes: none outlives the one that started it, however that one ends, and a flag tells all to end."""
 
 from __future__ import annotations
 
@@ -8,10 +8,30 @@ import os
 import signal
 import threading
 import time
+from typing import Any
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOOK_S = 0.2  # chosen: five looks a second cost nothing, and a port is free again at once
 _GRACE_S = 0.6  # chosen: an orderly end takes milliseconds; after it nothing is waited for
+
+
+class StopFlag:
+    """A byte that all processes of a service look at, and that tells them to end; for processes that are spawned.
+
+    It has no lock, as multiprocessing's events do: a process that is killed while it looks would hold that for good,
+    and everybody who looks, or sets it, would wait for ever.
+    """
+
+    def __init__(self) -> None:
+        self._byte: Any = multiprocessing.get_context("spawn").RawValue(ctypes.c_uint8, 0)
+
+    def set(self) -> None:
+        """Tell all to end."""
+        self._byte.value = 1
+
+    def is_set(self) -> bool:
+        """Whether all are to end."""
+        return bool(self._byte.value)
 
 
 def die_with_parent(*, watch: bool = True) -> None:

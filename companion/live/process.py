@@ -6,8 +6,7 @@ import os
 import selectors
 import signal
 import socket
-from collections.abc import Sequence
-from multiprocessing.synchronize import Event
+from collections.abc import Callable, Sequence
 
 from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver
 from companion.live.config import LiveConfig
@@ -18,9 +17,13 @@ _TURN_S = 0.1  # chosen: a wish of the page is met at once to the eye
 
 
 def serve_live(
-    config: LiveConfig, subject: Subject, listening: socket.socket, ends: Sequence[socket.socket], stop: Event
+    config: LiveConfig,
+    subject: Subject,
+    listening: socket.socket,
+    ends: Sequence[socket.socket],
+    stopped: Callable[[], bool],
 ) -> None:
-    """Serve until ``stop`` is set; a process target.
+    """Serve until ``stopped`` says so; a process target.
 
     ``listening`` is the bound socket of the door; it outlives this process, so that a restarted one has the same
     address. ``ends`` are the receiving ends of the producers' feeds.
@@ -32,7 +35,7 @@ def serve_live(
         with selectors.DefaultSelector() as selector:
             for end in ends:
                 selector.register(RecorderReceiver(end), selectors.EVENT_READ)
-            while not stop.is_set():
+            while not stopped():
                 _run_once(session, selector)
         session.end()  # not where an error ends it: then this process is started again
     finally:

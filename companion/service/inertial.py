@@ -6,12 +6,12 @@ import dataclasses
 import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.synchronize import Event
 from typing import Protocol
 
 from companion.core.containment import contained
 from companion.core.pipeline import PipelineState
 from companion.errors import described
+from companion.lifetime import StopFlag
 from companion.ports import Autopilot, Clock, Recorder
 from companion.rate_limiter import RateLimiter
 from companion.records import (
@@ -155,7 +155,7 @@ class InertialLoop:
                 self._route(Notice(Severity.ERROR, text, now_ns))
 
 
-def run(loop: InertialLoop, stop: Event) -> None:
+def run(loop: InertialLoop, stop: StopFlag) -> None:
     """Turn until told to stop; collection pauses are taken before the flight, not in it."""
     gc.collect()
     gc.freeze()

@@ -18,10 +18,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
-from multiprocessing.synchronize import Event
 from typing import Any
 
-from companion.lifetime import die_with_parent
+from companion.lifetime import StopFlag, die_with_parent
 from companion.ports import Clock
 
 _STOP_S = 1.2  # chosen: with the next two, all is over within 3 s
@@ -46,7 +45,7 @@ class StandbyGate:
     end: socket.socket
     spare: bool = False
 
-    def wait_for_turn(self, stop: Event) -> bool:
+    def wait_for_turn(self, stop: StopFlag) -> bool:
         """Say that all is prepared, and wait; False where the service ends before."""
         self.end.send(b"ready")
         while not select.select([self.end], [], [], _LOOK_S)[0]:
@@ -154,7 +153,7 @@ class Supervisor:
     """Owns the workers and the stop flag. Use as a context manager."""
 
     def __init__(self, clock: Clock) -> None:
-        self.stop_flag = SPAWN.Event()
+        self.stop_flag = StopFlag()
         self._clock = clock
         self._workers: list[Worker] = []
 

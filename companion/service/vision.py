@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from multiprocessing.synchronize import Event
 
 from companion.core.pipeline import VisionState, vision_step
 from companion.errors import DeviceError
+from companion.lifetime import StopFlag
 from companion.ports import CameraPair, Clock, Recorder
 from companion.records import ClockName, Frame, MatchSet, ParameterChange, Record, Reject, Rejected, TriggerPlan
 from companion.service.pace import Overload, VisionPace
@@ -20,7 +20,7 @@ def run(
     clock: Clock,
     send: Callable[[Record | Overload], object],
     recorder: Recorder | None,
-    stop: Event,
+    stop: StopFlag,
     updates: Callable[[], Iterable[ParameterChange | TriggerPlan]] = tuple,
 ) -> None:
     """Match every pair as it comes until told to stop.

@@ -8,7 +8,6 @@ import signal
 import socket
 import tempfile
 from collections.abc import Mapping, Sequence
-from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
@@ -25,6 +24,7 @@ from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.errors import ConfigError, LinkDown, SpanwiseError
+from companion.lifetime import StopFlag
 from companion.live.broadcaster import require_live
 from companion.live.door import listen
 from companion.live.feed import FeedEnd, Interest, LiveFeed
@@ -207,7 +207,7 @@ def _inertial_process(
     tape: socket.socket | None,
     eye: FeedEnd | None,
     gate: StandbyGate | None,
-    stop: Event,
+    stop: StopFlag,
 ) -> None:
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
@@ -260,7 +260,7 @@ def _check_settings(config: ServiceConfig) -> None:
         raise ConfigError(f"{clash.text}: change it (--set, --settings)")
 
 
-def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) -> None:
+def _trigger_process(config: ServiceConfig, line: socket.socket, stop: StopFlag) -> None:
     _ignore_interrupt()
     assert config.trigger is not None
     serve_trigger(config.trigger, line, stop.is_set)
@@ -270,7 +270,9 @@ def _warning(sentence: str) -> Notice:
     return Notice(Severity.WARNING, sentence, MonotonicClock().now_ns())
 
 
-def _recorder_process(config: ServiceConfig, about: About, ends: list[socket.socket], say: Sender, stop: Event) -> None:
+def _recorder_process(
+    config: ServiceConfig, about: About, ends: list[socket.socket], say: Sender, stop: StopFlag
+) -> None:
     assert config.recording is not None
     keep_bytes = config.recording_keep_bytes
     keep_recording(config.recording, about, ends, lambda text: say.send(_warning(text)), stop, keep_bytes)
@@ -284,7 +286,7 @@ def _live_process(
     interest: Interest,
     say: Sender,
     began_ns: int,
-    stop: Event,
+    stop: StopFlag,
 ) -> None:
     _ignore_interrupt()
     assert config.live is not None
@@ -302,7 +304,7 @@ def _live_process(
         has_images=config.cameras is not None,
         began_host_ns=began_ns,
     )
-    serve_live(config.live, subject, listening, ends, stop)
+    serve_live(config.live, subject, listening, ends, stop.is_set)
 
 
 def _vision_process(
@@ -312,7 +314,7 @@ def _vision_process(
     matches: Sender,
     tape: socket.socket | None,
     eye: FeedEnd | None,
-    stop: Event,
+    stop: StopFlag,
 ) -> None:
     _ignore_interrupt()
     assert config.cameras is not None

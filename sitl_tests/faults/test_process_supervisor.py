@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import os
+import signal
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from companion.lifetime import StopFlag
 from companion.service import supervisor
 from companion.service.supervisor import StandbyGate, Supervisor
 from sitl_tests.loop.ground_stations import S, TurnedClock
@@ -162,6 +166,38 @@ def test_a_spare_that_dies_is_made_again_a_minute_later_and_missed_by_nobody(spa
     assert worker.process.released()  # type: ignore[union-attr]
     lost.end.close()
     first.end.close()
+
+
+def look_for_ever(stop: StopFlag, end: socket.socket) -> None:
+    end.send(b"ready")
+    while not stop.is_set():
+        pass
+
+
+def test_a_process_that_is_frozen_or_killed_while_it_looks_at_the_stop_flag_holds_up_nobody() -> None:
+    stop = Supervisor(TurnedClock()).stop_flag
+    ours, theirs = socket.socketpair()
+    process = supervisor.SPAWN.Process(target=look_for_ever, args=(stop, theirs))
+    process.start()
+    try:
+        ours.recv(8)
+        assert process.pid is not None
+        for pause_ms in range(20):
+            os.kill(process.pid, signal.SIGSTOP)
+            time.sleep(0.001 * pause_ms)
+            look = threading.Thread(target=stop.is_set, daemon=True)
+            look.start()
+            look.join(2.0)
+            assert not look.is_alive(), "a frozen process has its lock"
+            os.kill(process.pid, signal.SIGCONT)
+            time.sleep(0.001)
+    finally:
+        process.kill()
+        process.join()
+        ours.close()
+        theirs.close()
+    stop.set()
+    assert stop.is_set()
 
 
 def test_a_process_that_waits_for_its_turn_ends_with_the_service() -> None:

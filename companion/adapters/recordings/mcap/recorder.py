@@ -8,12 +8,12 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
-from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderReceiver
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
+from companion.lifetime import StopFlag
 from companion.numbered_files import free_path, remove_oldest
 
 _IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
@@ -27,7 +27,7 @@ def keep_recording(
     about: About,
     ends: Sequence[socket.socket],
     say: Callable[[str], object],
-    stop: Event | None = None,
+    stop: StopFlag | None = None,
     keep_bytes: int | None = None,
 ) -> None:
     """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
@@ -77,7 +77,7 @@ def _write_file(
     path: Path,
     about: About,
     selector: selectors.BaseSelector,
-    stop: Event | None,
+    stop: StopFlag | None,
     terminated: Sequence[int],
     most_bytes: int | None = None,
 ) -> bool:
@@ -92,7 +92,7 @@ def _write_file(
     return over
 
 
-def _discard(selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]) -> bool:
+def _discard(selector: selectors.BaseSelector, stop: StopFlag | None, terminated: Sequence[int]) -> bool:
     """Throw away what comes, so that nobody waits, until it is time to try again (False) or all is over (True)."""
     again_s = time.monotonic() + _TRY_AGAIN_S
     while time.monotonic() < again_s:
@@ -115,7 +115,7 @@ def _take(selector: selectors.BaseSelector, outlet: object) -> Batch | None:
 def _record(
     writer: McapWriter,
     selector: selectors.BaseSelector,
-    stop: Event | None,
+    stop: StopFlag | None,
     terminated: Sequence[int],
     most_bytes: int | None = None,
 ) -> bool:
