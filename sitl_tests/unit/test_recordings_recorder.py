@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.adapters.recordings.mcap import recorder, writer
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
@@ -157,6 +158,46 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
         assert not recording.replayable
         assert any("a replay estimates anew" in notice.text for notice in recording.notices)
     assert all((tmp_path / name).exists() for name in others), "only recordings of this name are ours to remove"
+
+
+def test_a_recording_reaches_the_disk_every_period_and_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, folders = tmp_path / "a.mcap", []
+    on_disk_bytes: list[int] = []
+    force = writer._force
+
+    def forced(number: int) -> None:
+        force(number)
+        on_disk_bytes.append(os.fstat(number).st_size)
+
+    monkeypatch.setattr(recorder, "_on_terminate", list)
+    monkeypatch.setattr(recorder, "_SYNC_PERIOD_NS", 100_000_000)
+    monkeypatch.setattr(writer, "_force", forced)
+    monkeypatch.setattr(writer, "sync_folder", folders.append)
+    client_end, theirs = recorder_channel()
+    client = RecorderClient(client_end)
+    thread = threading.Thread(target=keep_recording, args=(path, ABOUT, [theirs], pytest.fail))
+    began_s = time.monotonic()
+    thread.start()
+    for second in range(50):
+        client.write(Tick(second * 1_000_000_000))
+        time.sleep(0.02)
+    client.close()
+    thread.join()
+    assert 3 <= len(on_disk_bytes) <= 10 * (time.monotonic() - began_s) + 2
+    assert on_disk_bytes == sorted(on_disk_bytes)
+    assert on_disk_bytes[-1] == path.stat().st_size
+    assert folders == [tmp_path]
+
+
+def test_a_recording_in_this_process_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "_force", pytest.fail)
+    tape = writer.McapWriter(tmp_path / "a.mcap", ABOUT)
+    for second in range(3):
+        tape.write(Tick(second * 1_000_000_000))
+    tape.flush()
+    tape.close()
 
 
 def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) -> None:

@@ -15,10 +15,12 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 from companion.lifetime import StopFlag
 from companion.numbered_files import free_path, remove_oldest
+from companion.rate_limiter import RateLimiter
 
 _IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
 _IDLE_ROUNDS = 4  # waits without a record before the recorder ends (choice)
 _TRY_AGAIN_S = 30.0  # chosen: a full disk is looked at twice a minute
+_SYNC_PERIOD_NS = 1_000_000_000  # chosen: as often as a chunk is closed; flash is not worn by more
 _PARTS = 4  # of what is kept: three finished ones and the one in progress (choice)
 
 
@@ -32,7 +34,8 @@ def keep_recording(
 ) -> None:
     """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
 
-    The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes.
+    The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes;
+    once a second it is forced to the disk, so that a power cut costs some two seconds.
     SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
     with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
     the name. Where the disk is full, ``say`` is told so; what comes is thrown away, and every half minute a file is
@@ -85,7 +88,7 @@ def _write_file(
     writer = McapWriter(free_path(path), about)
     try:
         over = _record(writer, selector, stop, terminated, most_bytes)
-        writer.close()
+        writer.close(sync=True)
     except OSError as error:
         writer.abandon()
         raise RecordingError(f"{path}: cannot be written any further: {error.strerror}") from error
@@ -121,6 +124,7 @@ def _record(
 ) -> bool:
     """Write what comes until all is over (True), or the file has reached its size (False)."""
     idle_rounds = 0
+    syncs = RateLimiter(_SYNC_PERIOD_NS)
     while selector.get_map():
         if most_bytes is not None and writer.size_bytes >= most_bytes:
             return False
@@ -134,6 +138,9 @@ def _record(
             batch = _take(selector, key.fileobj)
             if batch is not None:
                 _write(writer, batch)
+        ending = terminated or (stop is not None and stop.is_set())  # the file is synced once more when it is whole
+        if not ending and writer.size_bytes > writer.synced_bytes and syncs.take(time.monotonic_ns()):
+            writer.sync()
     return True
 
 

@@ -8,6 +8,7 @@ orderly end. The message's sequence number counts all records of the file.
 from __future__ import annotations
 
 import contextlib
+import os
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,11 +23,13 @@ from companion.adapters.recordings.mcap.messages import MessageForm, form_of, im
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
+from companion.params.persist import sync_folder
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, FramePair
 
 FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread (convention)
 _CHUNK_NS = 1_000_000_000  # chosen: a crash costs a second at most
+_force = getattr(os, "fdatasync", os.fsync)  # not every system has the quicker one
 _CHUNK_BYTES = 4 * 1024 * 1024  # chosen: several images fit in; the reader's memory per chunk stays small
 
 
@@ -64,7 +67,8 @@ class McapWriter:
     """A recorder in this process and thread; :mod:`companion.adapters.recordings.mcap.recorder` puts it into one of
     its own.
 
-    ``size_bytes`` is the size of the file when it was last flushed.
+    ``size_bytes`` is the size of the file when it was last flushed, ``synced_bytes`` when it was last forced to the
+    disk, which only :meth:`sync` does.
 
     Raises
     ------
@@ -80,7 +84,7 @@ class McapWriter:
         self._path = path
         self._format = about.image_format
         self._flushed = 0
-        self.size_bytes = 0
+        self.size_bytes = self.synced_bytes = 0
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._channels: dict[str, int] = {}
         self._sequence = 0
@@ -132,6 +136,15 @@ class McapWriter:
         self._flushed = self._sequence
         self.size_bytes = self._file.tell()
 
+    def sync(self) -> None:
+        """Force to the disk what the operating system has, lest a power cut take half a minute; may take seconds."""
+        self._file.flush()
+        if self._path.is_file():  # a device has no disk behind it
+            _force(self._file.fileno())
+            if not self.synced_bytes:
+                sync_folder(self._path.parent)
+        self.synced_bytes = self.size_bytes
+
     def abandon(self) -> None:
         """Close a file that cannot be written any further; one without any record in it is removed."""
         with contextlib.suppress(OSError):
@@ -139,13 +152,15 @@ class McapWriter:
         if not self._flushed and self._path.is_file():  # a device is not ours to remove
             self._path.unlink(missing_ok=True)
 
-    def close(self) -> None:
-        """Finish the file; further calls do nothing."""
+    def close(self, *, sync: bool = False) -> None:
+        """Finish the file, and with ``sync`` force it to the disk; further calls do nothing."""
         if self._file.closed:
             return
         self._writer.flush()
         self._writer.add_metadata("spanwise.end", {"records": str(self._sequence), "dropped": str(self._dropped)})
         self._writer.finish()
+        if sync:
+            self.sync()
         self._file.close()
 
     def _write_plain(self, record: Any) -> None:
