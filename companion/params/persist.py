@@ -35,6 +35,8 @@ class Stored:
 def load_stored(path: Path) -> Stored:
     """Read the parameter file; a damaged one is named and the last good one taken in its place.
 
+    Where there is no file nothing is set, whatever the last good one holds: a write never leaves the file missing, so
+    somebody removed it to begin anew.
     A value that the table does not know, or that is out of its range (a table of another version), is left out and
     named. Never raises for what the file holds.
     """
@@ -43,7 +45,7 @@ def load_stored(path: Path) -> Stored:
         try:
             return _checked(_parse(candidate), candidate, problems)
         except FileNotFoundError:
-            continue
+            break
         except (OSError, ValueError) as error:
             problems.append(f"{candidate}: {error}; not used")
     return Stored({}, tuple(problems))

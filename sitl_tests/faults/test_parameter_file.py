@@ -23,6 +23,16 @@ def test_no_file_is_no_problem(tmp_path: Path) -> None:
     assert load_stored(tmp_path / "none") == persist.Stored({})
 
 
+def test_a_removed_file_begins_anew_and_a_damaged_one_does_not(tmp_path: Path) -> None:
+    path = tmp_path / "p"
+    store(path, FIRST)
+    store(path, SECOND)
+    path.write_bytes(b"")
+    assert load_stored(path).values == FIRST
+    path.unlink()
+    assert load_stored(path) == persist.Stored({})
+
+
 @given(st.dictionaries(st.sampled_from(ROWS), st.floats(0, 1), max_size=len(ROWS)))
 def test_what_is_stored_is_loaded_exactly(tmp_path_factory: pytest.TempPathFactory, fractions: dict) -> None:
     values = {}
