@@ -258,6 +258,8 @@ def _check_settings(config: ServiceConfig) -> None:
     clash = config.settings.conflict(_sensor_components(config))
     if clash is not None:
         raise ConfigError(f"{clash.text}: change it (--set, --settings)")
+    if config.signing_key is not None:
+        load_signing(config.signing_key, MonotonicClock()).require_keeping()
 
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: StopFlag) -> None:

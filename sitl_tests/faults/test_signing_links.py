@@ -16,7 +16,10 @@ from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing, load_signing
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.records import Notice, ParameterChange, RawChunk
+from companion.service.config import ServiceConfig
+from companion.service.wiring import Service
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station, TurnedClock, Wire
 
 KEY, OTHER = bytes(range(32)), bytes(32)
@@ -222,6 +225,56 @@ def test_after_a_power_cycle_at_most_a_second_of_old_traffic_comes_in(key_file: 
         assert again.judge(Other(timestamp=stamp, link=link).frame()) is None, "each stream goes on"
     assert again.judge(Other(timestamp=NOW + 590 * SECOND, link=9).frame()) is Refusal.STALE, "a new one must be new"
     assert again.judge(Other(timestamp=NOW + 603 * SECOND, link=9).frame()) is None
+
+
+def test_a_stamp_that_cannot_be_written_refuses_the_start_and_is_told_in_flight(key_file: Path) -> None:
+    key_file.with_name("key.stamp").mkdir()  # not even root may put a file in its place
+    clock = TurnedClock()
+    signing = load_signing(key_file, clock)
+    with pytest.raises(ConfigError, match=r"key\.stamp of signing cannot be written"):
+        signing.require_keeping()
+    assert signing.judge(Other().frame()) is None, "in flight it goes on"
+    assert signing._keeper is not None
+    assert signing._keeper._writing is not None
+    signing._keeper._writing.join()
+    (notice,) = signing.notices(clock.now)
+    assert "a restart lets old frames in" in notice.text
+    assert len(notice.text) <= 2 * 50
+    assert signing.notices(clock.now + 59 * S) == []
+    assert len(signing.notices(clock.now + 60 * S)) == 1
+    key_file.with_name("key.stamp").rmdir()
+    signing.require_keeping()
+    assert signing.notices(clock.now + 200 * S) == []
+
+
+def test_the_service_does_not_start_where_its_signing_time_cannot_be_kept(key_file: Path) -> None:
+    key_file.with_name("key.stamp").mkdir()
+    config = ServiceConfig(load_airframe("nadir-2m"), Settings(), (), signing_key=key_file)
+    with pytest.raises(ConfigError, match="signing cannot be written"):
+        Service(config)
+
+
+def test_trying_to_keep_the_time_changes_nothing_that_was_kept(key_file: Path) -> None:
+    stamp = key_file.with_name("key.stamp")
+    stamp.write_text(f"{NOW}\n5 3 1 {NOW - 7}\n")
+    for _ in range(3):
+        load_signing(key_file, TurnedClock()).require_keeping()
+    assert stamp.read_text() == f"{NOW}\n5 3 1 {NOW - 7}\n"
+
+
+def test_a_service_keeps_its_signing_time_in_its_state_folder(
+    key_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beside = key_file.with_name("key.stamp")
+    beside.write_text(f"{NOW}\n")  # of before it had one
+    (tmp_path / "state").mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path / 'state'}:{tmp_path / 'other'}")
+    signing = load_signing(key_file, TurnedClock())
+    assert signing.judge(Other(timestamp=NOW - SECOND).frame()) is Refusal.STALE
+    signing.require_keeping()
+    assert (tmp_path / "state" / "key.stamp").read_text() == f"{NOW}\n"
+    beside.unlink()
+    assert load_signing(key_file, TurnedClock()).judge(Other(timestamp=NOW - SECOND).frame()) is Refusal.STALE
 
 
 def test_our_own_stamps_go_on_behind_those_before_the_cut(key_file: Path) -> None:

@@ -8,18 +8,19 @@ A signature's timestamp counts 10 us since 2015. It must increase within a strea
 new stream may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the
 monotonic clock, never behind anything accepted. A companion may have no clock of the day: our time and each stream's
 newest timestamp are kept in a file twice a second, so that a power cut lets in again no more than came since. A stream
-that is not in the file must be newer than our time in it. Without the file nothing comes in that is older than the key.
+that is not in the file must be newer than our time in it. Without the file nothing comes in that is older than the key;
+so a service does not start where the file cannot be written, and says so where that begins in flight.
 """
 
 from __future__ import annotations
 
-import contextlib
 import enum
 import hashlib
 import hmac
+import os
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -50,6 +51,7 @@ _EPOCH_S = 1_420_070_400  # 2015-01-01 (by definition)
 _LARGEST = (1 << 48) - 1  # 48 bits of timestamp (MAVLink signing)
 _MOST_STREAMS = 1024  # bound of memory
 _SAY_PERIOD_NS = 10_000_000_000  # chosen: refused frames are told every ten seconds, not one by one
+_UNKEPT_PERIOD_NS = 60_000_000_000  # chosen: nothing can be done about it in flight, and it must not be forgotten
 
 
 class Refusal(enum.StrEnum):
@@ -76,9 +78,9 @@ class SigningTime:
 class Signing:
     """Key, time and known streams, shared by all links of the service.
 
-    ``secret`` is the key, 32 bytes. Our signing time begins at ``timestamp``, in 10 us. ``save`` is called twice a
-    second with what is to be kept over a restart, and must not block; ``saved`` is what was kept: its streams go on
-    behind it, and new ones begin behind its own time.
+    ``secret`` is the key, 32 bytes. Our signing time begins at ``timestamp``, in 10 us. ``keeper`` gets twice a second
+    what is to be kept over a restart; ``saved`` is what was kept: its streams go on behind it, and new ones begin
+    behind its own time.
     """
 
     def __init__(
@@ -86,7 +88,7 @@ class Signing:
         secret: bytes,
         clock: Clock,
         timestamp: int = 0,
-        save: Callable[[SigningTime], None] | None = None,
+        keeper: StampKeeper | None = None,
         saved: SigningTime | None = None,
     ) -> None:
         if len(secret) != _KEY_BYTES:
@@ -95,15 +97,29 @@ class Signing:
         self.accepted = 0
         self._secret = secret
         self._clock = clock
-        self._save = save
+        self._keeper = keeper
+        self._saved = SigningTime() if saved is None else saved
         self._base = timestamp
         self._base_host_ns = clock.now_ns()
         self._saves = RateLimiter(_SAVE_PERIOD_NS)
         self._last_sent = 0
-        self._streams: dict[StreamKey, int] = {} if saved is None else dict(saved.streams)
-        self._floor = 0 if saved is None else saved.sent
+        self._streams: dict[StreamKey, int] = dict(self._saved.streams)
+        self._floor = self._saved.sent
         self._warnings = RateLimiter(_SAY_PERIOD_NS)
         self._reported: Counter[Refusal] = Counter()
+
+    def require_keeping(self) -> None:
+        """Write once what was kept before, and wait for it.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be written: after a restart recorded frames would come in again.
+        """
+        if self._keeper is not None:
+            self._keeper.write(self._saved)
+            if self._keeper.problem is not None:
+                raise ConfigError(f"{self._keeper.problem}: make room, or move the key to where it can")
 
     def now(self) -> int:
         """Our signing time in 10 us."""
@@ -151,18 +167,22 @@ class Signing:
         return hashlib.sha256(self._secret + signed).digest()[:6]
 
     def _keep(self) -> None:
-        if self._save is None or not self._saves.take(self._clock.now_ns()):
+        if self._keeper is None or not self._saves.take(self._clock.now_ns()):
             return
-        self._save(SigningTime(max(self.now(), self._last_sent), dict(self._streams)))
+        self._keeper.keep(SigningTime(max(self.now(), self._last_sent), dict(self._streams)))
 
     def notices(self, now_host_ns: int) -> list[Notice]:
-        """A sentence about what was refused since the last one, at most every 10 s."""
+        """Sentences about what was refused since the last one, every 10 s, and about a time that is not kept."""
+        notices: list[Notice] = []
+        problem = None if self._keeper is None else self._keeper.problem
+        if problem is not None and self._warnings.take(now_host_ns, problem, _UNKEPT_PERIOD_NS):
+            notices.append(Notice(Severity.ERROR, f"{problem}: a restart lets old frames in", now_host_ns))
         fresh = self.refused - self._reported
-        if not fresh or not self._warnings.take(now_host_ns):
-            return []
-        self._reported = Counter(self.refused)
-        parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
-        return [Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns)]
+        if fresh and self._warnings.take(now_host_ns):
+            self._reported = Counter(self.refused)
+            parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
+            notices.append(Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns))
+        return notices
 
 
 class Carrier(Protocol):
@@ -238,7 +258,7 @@ def _frames(buffer: bytes) -> tuple[list[bytes], int]:
 def load_signing(path: Path, clock: Clock) -> Signing:
     """Read a key file: 64 hexadecimal digits, or ``passphrase: ...`` as ground stations take it (hashed).
 
-    Beside it, ``<name>.stamp`` keeps the signing time.
+    Beside it, or in a service's state folder where systemd gives it one, ``<name>.stamp`` keeps the signing time.
 
     Raises
     ------
@@ -252,9 +272,12 @@ def load_signing(path: Path, clock: Clock) -> Signing:
         raise ConfigError(f"cannot read the signing key {path}: {error}") from error
     if mode & 0o077:
         raise ConfigError(f"signing key {path} can be read by others: chmod 600 {path}")
-    stamp = path.with_name(path.name + ".stamp")
-    saved = _read_stamp(stamp) or SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
-    return Signing(_secret(text, path), clock, min(saved.sent + _RESTART, _LARGEST), _Keeper(stamp).keep, saved)
+    beside = path.with_name(path.name + ".stamp")
+    state = os.environ.get("STATE_DIRECTORY")
+    stamp = Path(state.split(":")[0]) / beside.name if state else beside
+    key_time = SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
+    saved = _read_stamp(stamp) or _read_stamp(beside) or key_time
+    return Signing(_secret(text, path), clock, min(saved.sent + _RESTART, _LARGEST), StampKeeper(stamp), saved)
 
 
 def _secret(text: str, path: Path) -> bytes:
@@ -282,20 +305,29 @@ def _read_stamp(path: Path) -> SigningTime | None:
     return SigningTime(sent, streams) if 0 <= sent <= _LARGEST // 2 else None
 
 
-class _Keeper:
-    """Writes the newest state, one write at a time; what comes during a write waits for the next occasion."""
+class StampKeeper:
+    """Writes the newest state, one write at a time; what comes during a write waits for the next occasion.
+
+    ``problem`` says why the last write failed; None where it did not.
+    """
 
     def __init__(self, path: Path) -> None:
+        self.problem: str | None = None
         self._path = path
         self._writing: threading.Thread | None = None
 
     def keep(self, state: SigningTime) -> None:
         """Have it on the disk soon, so that a power cut leaves it or the one before."""
         if self._writing is None or not self._writing.is_alive():
-            self._writing = threading.Thread(target=self._write, args=(state,), name="signing-stamp", daemon=True)
+            self._writing = threading.Thread(target=self.write, args=(state,), name="signing-stamp", daemon=True)
             self._writing.start()
 
-    def _write(self, state: SigningTime) -> None:
+    def write(self, state: SigningTime) -> None:
+        """Have it on the disk now, or a :attr:`problem`."""
         rows = "".join(f"{' '.join(map(str, stream))} {newest}\n" for stream, newest in state.streams.items())
-        with contextlib.suppress(OSError):  # what is on the disk then is older, and nothing else can be done
+        try:
             write_atomically(self._path, f"{state.sent}\n{rows}")
+        except OSError as error:
+            self.problem = f"{self._path.name} of signing cannot be written ({error.strerror or error})"
+        else:
+            self.problem = None
