@@ -215,6 +215,33 @@ def test_another_vehicle_is_neither_answered_nor_believed() -> None:
     assert not [message for message in bench.vehicle.of("TIMESYNC") if message.tc1]
 
 
+def test_an_autopilot_on_two_links_is_commanded_over_one_until_that_falls_silent() -> None:
+    bench, second = Bench(), Wire()
+    links = [Link(number, "memory", wire, bench.clock) for number, wire in enumerate((bench.wire, second))]
+    bench.pilot = MavlinkAutopilot(links, load_airframe("nadir-2m"), Settings(), bench.clock)
+    records: list[Record] = []
+    for step in range(2000):
+        if step % 200 == 0:
+            bench.vehicle.heartbeat()
+        bench.vehicle.run()
+        second.inbox = bench.wire.inbox
+        if step > 1000:
+            bench.wire.inbox = b""
+        bench.clock.now += 5 * MS
+        records += bench.pilot.poll(0.0)
+        if step == 1000:
+            early = mavlink.MAVLink(None).parse_buffer(b"".join(second.sent)) or []
+    bench.pilot.command(mavlink.MAV_CMD_IMAGE_START_CAPTURE)
+    late = mavlink.MAVLink(None).parse_buffer(b"".join(second.sent)) or []
+    asked = {"COMMAND_LONG", "PARAM_REQUEST_READ"}
+    assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= {message.get_type() for message in bench.vehicle.heard}
+    assert not asked & {message.get_type() for message in early}
+    assert late[-1].get_type() == "COMMAND_LONG"
+    assert [entry.text for entry in kinds(records, Notice) if "two links" in entry.text] == [
+        "the autopilot comes over two links, and its samples twice: give only one of them (--connect)"
+    ]
+
+
 def time_requests(chunks: list[RawChunk]) -> list[RawChunk]:
     """Our TIMESYNC requests among chunks, each of which is one frame where we sent it."""
     requests = []

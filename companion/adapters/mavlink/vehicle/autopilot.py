@@ -18,6 +18,7 @@ from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.absence import Absence
+from companion.adapters.mavlink.vehicle.autopilot_links import AutopilotLinks
 from companion.adapters.mavlink.vehicle.component_sender import ComponentSender
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.vehicle.rates import RateKeeper
@@ -50,6 +51,7 @@ from companion.records import (
     Validity,
     VehicleState,
 )
+from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000  # by definition
 _STATE_RATE_HZ = 20.0  # attitude, airspeed and velocity over ground, for display and rigid motion (choice)
@@ -113,6 +115,7 @@ class MavlinkAutopilot:
         self._ranges = RangePublisher(settings, airframe.orientation)
         self._absence = Absence()
         self._choices = ChoiceNotices()
+        self._autopilot_links = AutopilotLinks()
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._outputs = OutputPublisher()
 
@@ -223,6 +226,15 @@ class MavlinkAutopilot:
                 self._integer_parameters.add(heard.message.param_id)
         elif heard.name == "HEARTBEAT":
             self._absence.beat(heard.system, heard.component)
+            if self._from_autopilot(heard):
+                self._note_link(heard.link, now_host_ns)
+
+    def _note_link(self, number: int, now_host_ns: int) -> None:
+        """Ask and command the autopilot over one link alone; say where it comes over two."""
+        if self._autopilot_links.beat(number, now_host_ns):
+            text = "the autopilot comes over two links, and its samples twice: give only one of them (--connect)"
+            self._said.append(Notice(Severity.WARNING, text, now_host_ns))
+        self._sender.autopilot_link = self._autopilot_links.chosen
 
     def _note(self, record: Record, now_host_ns: int) -> None:
         """Keep rates and clocks by what was decoded."""

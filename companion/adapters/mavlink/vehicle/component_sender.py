@@ -25,11 +25,13 @@ class ComponentSender:
     """Packs pymavlink messages as our component and writes them to the links.
 
     ``system`` is the system id that we send with, the autopilot's; ``refused`` counts messages that were not sent
-    because a value was not finite.
+    because a value was not finite. ``autopilot_link`` is the number of the link that what is asked of the autopilot
+    goes to, None for all.
     """
 
     def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int, clock: Clock) -> None:
         self.refused = 0
+        self.autopilot_link: int | None = None
         self._clock = clock
         self._sent: deque[RawChunk] = deque(maxlen=_MOST_UNREAD)
         self._links, self._component = links, component
@@ -70,16 +72,19 @@ class ComponentSender:
     def command(self, command: int, *parameters: float) -> None:
         """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
         filled = [float(value) for value in parameters] + [0.0] * (_COMMAND_PARAMETERS - len(parameters))
-        self.send(mavlink.MAVLink_command_long_message(self.system, AUTOPILOT_COMPONENT, command, 0, *filled))
+        message = mavlink.MAVLink_command_long_message(self.system, AUTOPILOT_COMPONENT, command, 0, *filled)
+        self.send(message, self.autopilot_link)
 
     def request_parameter(self, name: str) -> None:
         """Ask the autopilot for one of its parameters."""
-        self.send(mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT_COMPONENT, name.encode(), -1))
+        message = mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT_COMPONENT, name.encode(), -1)
+        self.send(message, self.autopilot_link)
 
     def set_parameter(self, name: str, value: float, *, integer: bool) -> None:
         """Ask the autopilot to set one of its parameters; ``integer`` as PX4 encodes them, in the bytes of a float."""
         value, kind = parameter_encoding(value, integer=integer)
-        self.send(mavlink.MAVLink_param_set_message(self.system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
+        message = mavlink.MAVLink_param_set_message(self.system, AUTOPILOT_COMPONENT, name.encode(), value, kind)
+        self.send(message, self.autopilot_link)
 
     def tell(self, notice: Notice) -> None:
         """Send a sentence as STATUSTEXT, in pieces, unless it repeats one just sent."""
