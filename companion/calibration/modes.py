@@ -48,7 +48,7 @@ class IdentifiedMode:
     ----------
     frequency_hz, damping : float
         Mean over the runs; ``*_sigma`` is the standard deviation of one run, that of the mean is smaller by the root of
-        the number of runs.
+        the number of runs. NaN where a single run shows the mode.
     shape : (points,) float64
         Real displacement shape, largest entry 1, NaN where no run measured.
     shape_sigma : (points,) float64

@@ -137,7 +137,8 @@ def airframe_with(base: Airframe, modes: list[BendingMode]) -> Airframe:
 
     Slope and twist are those at its tip sensors, per metre of deflection there; the cameras get the symmetric mode's
     slope and deflection at their own station, relative to those. What a test on the ground does not show, bend in
-    flight and gusts, is the base's, as a wing of this frequency would have it, and known to a third.
+    flight and gusts, is the base's, as a wing of this frequency would have it, and known to a third. Frequency and
+    damping that a single run shows are as uncertain as the base's, relative to their size.
 
     Raises
     ------
@@ -152,8 +153,8 @@ def airframe_with(base: Airframe, modes: list[BendingMode]) -> Airframe:
         raise ConfigError(f"at the tip sensors, {place.sensor_m:.2f} m from the root: {error}") from error
     wing = dataclasses.replace(
         base.wing,
-        symmetric=_record(first.mode, at_sensor),
-        antisymmetric=_record(other.mode, antisymmetric),
+        symmetric=_record(first.mode, at_sensor, base.wing.symmetric),
+        antisymmetric=_record(other.mode, antisymmetric, base.wing.antisymmetric),
         second_symmetric=None,
         second_antisymmetric=None,
         further_symmetric=(),
@@ -195,14 +196,20 @@ def _first(modes: list[BendingMode], sign: float, name: str) -> BendingMode:
     raise ConfigError(f"no {name} bending mode was identified; test again with more points or a wider band")
 
 
-def _record(mode: IdentifiedMode, factors: ModalFactors) -> Mode:
+def _record(mode: IdentifiedMode, factors: ModalFactors, believed: Mode) -> Mode:
     sigma = np.sqrt(np.diag(factors.covariance))
     return Mode(
-        Uncertain(round(mode.frequency_hz, 4), round(mode.frequency_sigma_hz, 4)),
-        Uncertain(round(mode.damping, 6), round(mode.damping_sigma, 6)),
+        _measured(mode.frequency_hz, mode.frequency_sigma_hz, believed.frequency_hz, 4),
+        _measured(mode.damping, mode.damping_sigma, believed.damping, 6),
         Uncertain(round(factors.slope_factor_radpm, 4), round(float(sigma[1]), 4)),
         Uncertain(round(factors.twist_factor_radpm, 4), round(float(sigma[2]), 4)),
     )
+
+
+def _measured(value: float, sigma: float, believed: Uncertain, digits: int) -> Uncertain:
+    """Mean with the scatter of its runs; a single run has none, and the base's relative sigma stays."""
+    spread = sigma if np.isfinite(sigma) else value * believed.sigma / believed.value
+    return Uncertain(round(value, digits), round(spread, digits))
 
 
 def _chords(points: list[Point]) -> Floats:

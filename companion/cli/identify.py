@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,7 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
     _print_modes(modes, test)
     bending = bending_modes(modes, test.points)
     draw_test(test, modes, bending, options.out)
-    (options.out / "modes.json").write_text(json.dumps([_plain(mode) for mode in modes], indent=2), encoding="utf-8")
+    _write_numbers([_plain(mode) for mode in modes], options.out)
     airframe = airframe_with(base, bending)
     _print_factors(base, airframe, bending)
     _write(airframe, options.out)
@@ -71,15 +72,22 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
 
 
 def _plain(mode: IdentifiedMode) -> dict[str, object]:
-    """Everything but the halves, whose likeness is in ``assurance``; null where no run measured."""
+    """Everything but the halves, whose likeness is in ``assurance``; null where no run, or no second one, measured."""
     plain: dict[str, object] = {"resolved": mode.resolved}
     for field in dataclasses.fields(mode):
         value = getattr(mode, field.name)
         if field.name in ("shape", "shape_sigma"):
             plain[field.name] = [float(entry) if np.isfinite(entry) else None for entry in value]
+        elif isinstance(value, float):
+            plain[field.name] = value if math.isfinite(value) else None
         elif field.name != "halves":
             plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
     return plain
+
+
+def _write_numbers(plain: object, folder: Path) -> None:
+    text = json.dumps(plain, indent=2, allow_nan=False)
+    (folder / "modes.json").write_text(text, encoding="utf-8")
 
 
 def _print_modes(modes: list[IdentifiedMode], test: VibrationTest) -> None:
@@ -87,11 +95,15 @@ def _print_modes(modes: list[IdentifiedMode], test: VibrationTest) -> None:
     print(" ".join(f"{head:>{width}s}" for head, width in zip(heads, (8, 8, 8, 8, 6, 9, 11), strict=True)), "runs")
     for mode in modes:
         print(
-            f"{mode.frequency_hz:8.3f} {mode.frequency_sigma_hz:8.3f} {100 * mode.damping:8.3f} "
-            f"{100 * mode.damping_sigma:8.3f} {mode.assurance:6.3f} {symmetry(mode, test.points):9.3f} "
+            f"{mode.frequency_hz:8.3f} {_scatter(mode.frequency_sigma_hz)} {100 * mode.damping:8.3f} "
+            f"{_scatter(100 * mode.damping_sigma)} {mode.assurance:6.3f} {symmetry(mode, test.points):9.3f} "
             f"{57.2958 * mode.phase_scatter_rad:11.1f} {mode.runs}/{len(test.runs)}"
             + ("" if mode.resolved else f"  only {mode.bandwidth_lines:.1f} lines wide: not resolved, left out")
         )
+
+
+def _scatter(sigma: float) -> str:
+    return f"{sigma:8.3f}" if math.isfinite(sigma) else f"{'-':>8s}"
 
 
 def _print_factors(base: Airframe, airframe: Airframe, bending: list[BendingMode]) -> None:
@@ -109,6 +121,9 @@ def _print_factors(base: Airframe, airframe: Airframe, bending: list[BendingMode
         )
     for note in place.notes:
         print(f"note: {note}")
+    for each in (next(mode for mode in bending if mode.sign == sign).mode for sign in (1.0, -1.0)):
+        if each.runs == 1:
+            print(f"note: a single run shows {each.frequency_hz:.2f} Hz: its sigmas are the base airframe's, scaled")
     wing = airframe.wing
     static = (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m)
     trim, per_g, gusts = (f"{1e3 * belief.value:.1f} mm" for belief in static)
@@ -126,7 +141,7 @@ def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
         for name, family in modes.items()
     }
     result = {"airframe": recording.airframe.name, **plain}
-    (options.out / "modes.json").write_text(json.dumps(result, indent=2), encoding="utf-8")
+    _write_numbers(result, options.out)
     for name, family in modes.items():
         for mode in family:
             print(

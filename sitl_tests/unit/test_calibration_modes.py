@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from companion.calibration.modes import FrequencyResponse, IdentifiedMode, assur
 from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response
 from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
+from companion.cli import identify
 from companion.errors import ConfigError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Station
@@ -175,6 +178,24 @@ def test_what_is_written_reads_back_with_the_modes_in_it() -> None:
     assert again.wing.antisymmetric.frequency_hz.value == pytest.approx(8.5, abs=0.01)
     with pytest.raises(ConfigError, match="no symmetric"):
         airframe_with(load_airframe("nadir-2m"), [])
+
+
+def test_a_mode_of_a_single_run_keeps_the_relative_sigmas_of_the_base(tmp_path: Path) -> None:
+    runs, points, base = _runs(), _points(), load_airframe("nadir-2m")
+    every = np.concatenate([run.response for run in runs])
+    modes = identify_runs([FrequencyResponse("all", np.arange(len(points)), runs[0].frequency_hz, every)], len(points))
+    assert [mode.runs for mode in modes] == [1, 1, 1]
+    made = airframe_with(base, bending_modes(modes, points))
+    assert parse_airframe(dump_airframe(made), "written") == made
+    for mode, believed in (
+        (made.wing.symmetric, base.wing.symmetric),
+        (made.wing.antisymmetric, base.wing.antisymmetric),
+    ):
+        for name in ("frequency_hz", "damping"):
+            now, before = getattr(mode, name), getattr(believed, name)
+            assert now.sigma / now.value == pytest.approx(before.sigma / before.value, rel=0.01)
+    identify._write_numbers([identify._plain(mode) for mode in modes], tmp_path)
+    assert json.loads((tmp_path / "modes.json").read_text())[0]["frequency_sigma_hz"] is None
 
 
 def test_a_sweep_gives_the_response_of_the_filter_it_went_through() -> None:
