@@ -11,12 +11,13 @@ from scipy.signal import firwin, upfirdn
 
 from companion.calibration.ambient import AmbientMode, ambient_modes
 from companion.core.clock.bank import ClockBank
-from companion.errors import RecordingError
+from companion.errors import ConfigError, RecordingError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station, TimesyncReply
 
 _VERTICAL = 2  # column of body z in ImuBatch.values (convention)
 _RATE_HZ = 200.0  # twice the band and more (choice)
+_LEAST_BAND_HZ = 1.0  # chosen: sixteen lines of the spectrum of correlations over four seconds
 _TAPS = 129  # chosen: taps of the anti-alias low-pass: steep enough for 0.8 of the new Nyquist rate
 _LEAST_S = 20.0  # a hundred periods of 5 Hz (choice)
 _GAP_NS = 200_000_000  # chosen: one period at 5 Hz; across a longer one a mode is not interpolated
@@ -31,7 +32,18 @@ class WingMotion:
     antisymmetric: Floats
 
     def modes(self, band_hz: tuple[float, float]) -> dict[str, list[AmbientMode]]:
-        """Identify both families of modes."""
+        """Identify both families of modes.
+
+        Raises
+        ------
+        ConfigError
+            The band is no band, or reaches above half of the rate.
+        """
+        if not 0.0 <= band_hz[0] <= band_hz[1] - _LEAST_BAND_HZ or band_hz[1] > 0.5 * self.rate_hz:
+            raise ConfigError(
+                f"the band from {band_hz[0]:g} to {band_hz[1]:g} Hz cannot be: give the lower frequency first, "
+                f"{_LEAST_BAND_HZ:g} Hz apart or more, up to {0.5 * self.rate_hz:g} Hz"
+            )
         return {
             name: ambient_modes(samples[:, np.newaxis], self.rate_hz, band_hz)
             for name, samples in (("symmetric", self.symmetric), ("antisymmetric", self.antisymmetric))

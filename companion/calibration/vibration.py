@@ -31,6 +31,7 @@ from companion.params.toml import read_toml
 from companion.records import Floats
 
 _SIGNALS = "signalIn"
+_LEAST_LINES = 16  # chosen: halves of eight lines, a mode's unknowns in each response
 _FASTEST_HZ = 1e6  # a higher rate is a wrong unit (choice)
 
 
@@ -131,12 +132,19 @@ def _run(
     low, high = layout["band_hz"]
     if not 0.0 < float(layout["rate_hz"]) <= _FASTEST_HZ:
         raise ValueError(f"rate_hz must be above 0 and at most {_FASTEST_HZ:g}")
+    if not 0.0 <= float(low) < float(high) <= 0.5 * float(layout["rate_hz"]):
+        raise ValueError("band_hz must be two frequencies, the lower first, up to half of rate_hz")
+    if not np.ptp(signals[:, wanted[0]]) > 0.0:
+        raise RecordingError(f"{path}: the force, column {wanted[0]}, never changes: check force.column and its sensor")
     run = frequency_response(
         signals[:, wanted[0]] * float(force["newton_per_volt"]),
         signals[:, wanted[1:]] * float(sensors["mps2_per_volt"]),
         float(layout["rate_hz"]),
         (float(low), float(high)),
     )
+    if len(run.frequency_hz) < _LEAST_LINES:
+        lines = f"{len(run.frequency_hz)} lines of the spectrum lie in band_hz"
+        raise RecordingError(f"{path}: {lines}, {_LEAST_LINES} are needed: record longer or widen the band")
     numbers = np.array([place[int(number)] for number in entry["points"]], dtype=np.int64)
     return FrequencyResponse(path.stem, numbers, run.frequency_hz, run.response)
 

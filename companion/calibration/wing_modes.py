@@ -72,7 +72,14 @@ def symmetry(mode: IdentifiedMode, points: list[Point]) -> float:
 
 
 def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[BendingMode]:
-    """Those modes that are resolved, clearly symmetric or antisymmetric, and move their tips, by frequency."""
+    """Those modes that are resolved, clearly symmetric or antisymmetric, and move their tips, by frequency.
+
+    Raises
+    ------
+    ConfigError
+        An edge has too few span stations, or no run measured one of the points.
+    """
+    _enough_points(modes, points)
     bending = []
     for mode in modes:
         likeness = symmetry(mode, points)
@@ -88,6 +95,19 @@ def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[Bend
             continue  # a node at the tip: nothing can be scaled by its deflection
         bending.append(BendingMode(mode, sign, shape, factors, chords))
     return bending
+
+
+def _enough_points(modes: list[IdentifiedMode], points: list[Point]) -> None:
+    for leading, edge in ((True, "leading"), (False, "trailing")):
+        spans = {abs(point.span_m) for point in points if point.leading is leading}
+        if len(spans) < _DEGREE + 2:  # one to spare tells the noise
+            raise ConfigError(
+                f"the layout's {edge} edge has {len(spans)} span stations a side, {_DEGREE + 2} are needed: measure "
+                "and list more points"
+            )
+    for point, *shown in zip(points, *(mode.shape for mode in modes), strict=True):
+        if not np.all(np.isfinite(shown)):
+            raise ConfigError(f"no run of the layout measured point {point.number}: add its run or drop the point")
 
 
 def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:

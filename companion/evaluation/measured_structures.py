@@ -37,6 +37,7 @@ _RESPONSE = "response_"
 _FORCE = "input_n"
 _AIRSPEED = "airspeed_mps"
 _INPUT = "input_"
+_BAND_SLACK = 1.01  # chosen: a band may reach half the rate of stamps that wander a little
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
@@ -71,6 +72,8 @@ def _free_decay(
     tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
 ) -> _Diagnosed:
     band_hz = _band(mapping)
+    for table in tables:
+        _rate_hz(table, band_hz)
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
@@ -106,20 +109,14 @@ def _limit_cycle(
     tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
 ) -> _Diagnosed:
     tracks: list[VibrationTrack] = []
-    notes = []
+    names, notes = _responses_of_all(tables)
     for i, table in enumerate(tables):
         progress("follow the vibration", i / len(tables))
-        responses = {
-            name.removeprefix(_RESPONSE): values
-            for name, values in table.channels.items()
-            if name.startswith(_RESPONSE)
-        }
-        if not responses:
-            raise RecordingError(
-                f"{table.path}: a limit cycle needs {_RESPONSE}<what>, and {_AIRSPEED} if there was any"
-            )
+        responses = {name.removeprefix(_RESPONSE): table.channels[name] for name in names}
         airspeed = float(np.mean(table.channels[_AIRSPEED])) if _AIRSPEED in table.channels else None
         try:
+            _rate_hz(table, _band(mapping))
+            _varying(table, names)
             tracks.append(track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping)))
         except RecordingError as error:
             notes.append(str(error))
@@ -129,6 +126,18 @@ def _limit_cycle(
     plain = flutter_json(diagnosis)
     plain["notes"] += notes
     return plain, lambda: flutter_page(diagnosis, plain, mapping.description)
+
+
+def _responses_of_all(tables: Sequence[MappedTable]) -> tuple[list[str], list[str]]:
+    """Responses that every file has, and a note for each that some file lacks."""
+    channels = dict.fromkeys(name for table in tables for name in table.channels)
+    every = [name for name in channels if name.startswith(_RESPONSE)]
+    lacking = {name: [table.path for table in tables if name not in table.channels] for name in every}
+    names = [name for name in every if not lacking[name]]
+    if not names:
+        needed = f"a limit cycle needs {_RESPONSE}<what> in every file, and {_AIRSPEED} if there was any"
+        raise RecordingError(f"{next((paths[0] for paths in lacking.values() if paths), tables[0].path)}: {needed}")
+    return names, [f"{name} is left out: {paths[0].name} has none" for name, paths in lacking.items() if paths]
 
 
 def _forced(
@@ -142,6 +151,8 @@ def _forced(
             raise RecordingError(
                 f"{table.path}: a forced oscillator needs one {_INPUT}<what> and one {_RESPONSE}<what>"
             )
+        _rate_hz(table, _band(mapping))
+        _varying(table, [*forces, *answers])
         force, answer = table.channels[forces[0]], table.channels[answers[0]]
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer))
     plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
@@ -155,11 +166,37 @@ def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
     names = [name for name in table.channels if name.startswith(_RESPONSE)]
     if _FORCE not in table.channels or not names:
         raise RecordingError(f"{table.path}: a vibration test needs {_FORCE} and {_RESPONSE}<point>_mps2")
+    rate_hz = _rate_hz(table, band_hz)
+    _varying(table, [_FORCE, *names])
     answers: Floats = np.stack([table.channels[name] for name in names], axis=1)
-    rate_hz = (len(table.t_s) - 1) / float(table.t_s[-1] - table.t_s[0])
     f_hz, shown = responses(table.channels[_FORCE], answers, rate_hz, band_hz)
     order = table.constants.get("run_order")
     return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, shown, table.constants)
+
+
+def _rate_hz(table: MappedTable, band_hz: tuple[float, float]) -> float:
+    """Rate of the rows.
+
+    Raises
+    ------
+    RecordingError
+        One row, or rows too slow for the band.
+    """
+    if len(table.t_s) < 2:
+        raise RecordingError(f"{table.path}: has {len(table.t_s)} row of samples, a vibration has many: record longer")
+    rate_hz = (len(table.t_s) - 1) / float(table.t_s[-1] - table.t_s[0])
+    if band_hz[1] > _BAND_SLACK * 0.5 * rate_hz:
+        raise RecordingError(
+            f"{table.path}: {rate_hz:.4g} rows a second show nothing above {0.5 * rate_hz:.4g} Hz, band_hz reaches "
+            f"{band_hz[1]:g} Hz: check the unit of the time column, or lower band_hz"
+        )
+    return rate_hz
+
+
+def _varying(table: MappedTable, names: Sequence[str]) -> None:
+    for name in names:
+        if not np.ptp(table.channels[name]) > 0.0:
+            raise RecordingError(f"{table.path}: {name} never changes: check its sensor, or take it out of the mapping")
 
 
 def _believed(mapping: TableMapping, airframe: str | None) -> tuple[Uncertain, Uncertain]:

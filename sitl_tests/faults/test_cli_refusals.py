@@ -179,6 +179,35 @@ def test_a_bad_input_is_one_sentence(
         assert left_empty == [tmp_path / "folder"], "a refused command leaves no folder behind"
 
 
+BENCH = {
+    "forced": ("input_n", "response_m"),
+    "vibration": ("input_n", "response_tip_mps2"),
+    "limit-cycle": ("response_tip_mps2", "response_root_mps2"),
+}
+
+
+@pytest.mark.parametrize("kind", BENCH)
+@pytest.mark.parametrize(
+    ("fault", "complaint"),
+    [("one row", "has 1 row"), ("dead", "never changes"), ("milliseconds", "unit of the time column")],
+)
+def test_a_bench_file_that_shows_nothing_is_one_sentence(
+    kind: str, fault: str, complaint: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    columns = "".join(
+        f'[columns.{letter}]\nchannel = "{name}"\n' for letter, name in zip("ab", BENCH[kind], strict=True)
+    )
+    mapping = tmp_path / "bench.toml"
+    mapping.write_text(f'test = "{kind}"\nband_hz = [2.0, 20.0]\n[columns.t]\nchannel = "t_s"\n{columns}')
+    rows, step = (1 if fault == "one row" else 3000), (5.0 if fault == "milliseconds" else 0.005)
+    lines = [f"{i * step},{0 if fault == 'dead' else i % 7},{i % 11}" for i in range(rows)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,a,b", *lines]) + "\n")
+    assert main(["diagnose", str(tmp_path / "run.csv"), "--mapping", str(mapping)]) == BAD
+    stderr = capfd.readouterr().err
+    assert complaint in stderr
+    assert [line for line in stderr.splitlines() if line.startswith("spanwise")] == stderr.strip().splitlines()[-1:]
+
+
 def _filled(word: str, places: dict[str, str]) -> str:
     return re.sub("|".join(map(re.escape, places)), lambda match: places[match[0]], word)
 

@@ -12,13 +12,13 @@ import pytest
 from scipy.linalg import expm
 
 from companion.calibration.ambient import ambient_modes
-from companion.calibration.flight_modes import _shared
+from companion.calibration.flight_modes import WingMotion, _shared
 from companion.calibration.modes import FrequencyResponse, IdentifiedMode, assurance, identify_runs, residues
 from companion.calibration.poles import Pole, stable_poles
-from companion.calibration.vibration import Point, frequency_response
+from companion.calibration.vibration import Point, frequency_response, read_vibration_test
 from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
 from companion.cli import identify
-from companion.errors import ConfigError
+from companion.errors import ConfigError, SpanwiseError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Station
 
@@ -178,6 +178,53 @@ def test_what_is_written_reads_back_with_the_modes_in_it() -> None:
     assert again.wing.antisymmetric.frequency_hz.value == pytest.approx(8.5, abs=0.01)
     with pytest.raises(ConfigError, match="no symmetric"):
         airframe_with(load_airframe("nadir-2m"), [])
+
+
+def test_too_few_stations_and_an_unmeasured_point_are_told() -> None:
+    points, modes = _points(), _clean()
+    few = [index for index, point in enumerate(points) if abs(point.span_m) > 0.7]
+    fewer = [dataclasses.replace(mode, shape=mode.shape[few]) for mode in modes]
+    with pytest.raises(ConfigError, match="leading edge has 3 span stations a side, 5 are needed"):
+        bending_modes(fewer, [points[index] for index in few])
+    shape = modes[0].shape.copy()
+    shape[3] = np.nan
+    with pytest.raises(ConfigError, match="no run of the layout measured point 4"):
+        bending_modes([dataclasses.replace(modes[0], shape=shape)], points)
+
+
+@pytest.mark.parametrize("band_hz", [(40.0, 2.0), (120.0, 150.0), (5.0, 5.01), (-1.0, 20.0)])
+def test_a_band_that_cannot_be_is_refused(band_hz: tuple[float, float]) -> None:
+    still = np.zeros(4000)
+    with pytest.raises(ConfigError, match="give the lower frequency first"):
+        WingMotion(200.0, still, still).modes(band_hz)
+
+
+@pytest.mark.parametrize(
+    ("band_hz", "rows", "complaint"),
+    [
+        ([200.0, 280.0], 4000, "up to half of rate_hz"),
+        ([30.0, 2.0], 4000, "lower first"),
+        ([2.0, 30.0], 1, "never changes"),
+        ([2.0, 30.0], 40, "5 lines of the spectrum lie in band_hz, 16 are needed"),
+    ],
+)
+def test_a_layout_whose_band_shows_nothing_is_refused(
+    band_hz: list[float], rows: int, complaint: str, tmp_path: Path
+) -> None:
+    layout = tmp_path / "layout.toml"
+    layout.write_text(
+        f"""rate_hz = 200.0
+band_hz = {band_hz}
+force = {{ column = 0, newton_per_volt = 1.0 }}
+accelerometers = {{ columns = [1], mps2_per_volt = 1.0 }}
+points = [{{ number = 1, span_m = 0.5, aft_m = 0.0, edge = "leading" }}]
+runs = [{{ file = "run.mat", points = [1] }}]
+"""
+    )
+    (tmp_path / "run.mat").touch()
+    noise = np.random.default_rng(0).normal(size=(rows, 2))
+    with pytest.raises(SpanwiseError, match=complaint):
+        read_vibration_test(layout, tmp_path, lambda _path: {"signalIn": noise})
 
 
 def test_a_mode_of_a_single_run_keeps_the_relative_sigmas_of_the_base(tmp_path: Path) -> None:

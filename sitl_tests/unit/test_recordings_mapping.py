@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
-from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
+from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import load_mapping, parse_mapping, shipped_mappings
 from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.adapters.recordings.tables.units import conversion
@@ -136,6 +136,17 @@ def test_an_object_of_matlab_s_own_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "b.mat"
     path.write_bytes((tmp_path / "a.mat").read_bytes() + struct.pack("<II", 14, len(opaque)) + opaque)
     assert list(read_matlab(path)) == ["x"]
+
+
+def test_a_response_that_not_all_files_have_is_left_out_of_a_limit_cycle_and_told() -> None:
+    values = np.sin(np.arange(10.0))
+    with_both = MappedTable(Path("a.csv"), values, {"response_heave": values, "response_pitch": values}, {})
+    without = MappedTable(Path("b.csv"), values, {"response_heave": values}, {})
+    names, notes = measured_structures._responses_of_all([with_both, without])
+    assert names == ["response_heave"]
+    assert notes == ["response_pitch is left out: b.csv has none"]
+    with pytest.raises(RecordingError, match="in every file"):
+        measured_structures._responses_of_all([MappedTable(Path("c.csv"), values, {}, {}), without])
 
 
 def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
