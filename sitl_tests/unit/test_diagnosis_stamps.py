@@ -86,6 +86,14 @@ def test_stamps_that_all_are_the_same_are_no_recording(airframe: Airframe) -> No
         observe(raw_of(np.full(COUNT, 5.0), VALUES), airframe, TOP_HZ)
 
 
+@pytest.mark.parametrize("factor", [1000.0, 300.0])
+def test_stamps_that_are_no_seconds_are_refused_with_rate_and_frequency(airframe: Airframe, factor: float) -> None:
+    first_hz = airframe.wing.symmetric.frequency_hz.value
+    complaint = rf"sampled at {RATE_HZ / factor:.3g} Hz, .* mode of {first_hz:.3g} Hz.*\(t_s\) in seconds"
+    with pytest.raises(RecordingError, match=complaint):
+        observe(raw_of(factor * T_S, VALUES), airframe, TOP_HZ)
+
+
 @pytest.mark.parametrize("how", ["wander", "lost", "held", "wander, whole ms"])
 def test_dropout_jitter_is_seen_whatever_its_stamps_look_like(airframe: Airframe, how: str) -> None:
     rng = np.random.default_rng(3)

@@ -242,6 +242,12 @@ def level(tmp_path: Path, header: str, z: float) -> CsvRecording:
     return read(tmp_path, accel=header + "\n" + "".join(f"{0.001 * k:.3f},{z + 0.01 * (k % 3)}\n" for k in range(300)))
 
 
+def test_stamps_in_unix_milliseconds_are_refused(tmp_path: Path) -> None:
+    rows = "".join(f"{1.7e12 + 2 * i:.0f},-9.8\n" for i in range(5))
+    with pytest.raises(RecordingError, match=r"accel\.csv: t_s reaches 1\.7e\+12, t_s must be in seconds"):
+        read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
+
+
 def test_a_vertical_axis_that_points_up_is_refused_with_what_it_should_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"'left_z' reads \+1\.00 g .*turn its sign"):
         level(tmp_path, "t_s,left_z_mps2", 9.80665)

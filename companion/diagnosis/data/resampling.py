@@ -45,6 +45,7 @@ from companion.units import GRAVITY_MPS2
 
 _FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
 _GAP_MARGIN_S = 1.0  # about a bridged gap, at most: there the smoothed wing is not known (choice)
+_LEAST_PER_PERIOD = 4.0  # samples a period of the first mode: what lies about its peak is to be seen (choice)
 _INPUT = "input_"
 _CROWDED = 0.2  # of the usual step: stamps so close together carry no slope (choice)
 
@@ -55,7 +56,8 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
     Raises
     ------
     RecordingError
-        No wing accelerometer, no sample that is a number, or less than 8 s can be pieced together.
+        No wing accelerometer, no sample that is a number, less than 8 s can be pieced together, or sampled too slowly
+        for the first mode.
     """
     if not raw.tips:
         raise RecordingError("no wing accelerometer in this recording: diagnosis needs left_z or right_z")
@@ -70,6 +72,12 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         )
     notes += _gap_notes(streams, segments)
     fine_hz = min(_rate(stream) for stream in ordered.tips.values())
+    first_hz = airframe.wing.symmetric.frequency_hz.value
+    if fine_hz < _LEAST_PER_PERIOD * first_hz:
+        raise RecordingError(
+            f"sampled at {fine_hz:.3g} Hz, too slowly for a first mode of {first_hz:.3g} Hz, which needs "
+            f"{_LEAST_PER_PERIOD * first_hz:.3g} Hz: are the stamps (t_s) in seconds?"
+        )
     if fine_hz < 2.0 * top_hz:
         notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
     defects = {side: _faults(raw.tips[side], segments, airframe, side) for side in sorted(raw.tips)}

@@ -29,6 +29,7 @@ _UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter i
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
+_LATEST_S = 9.2e9  # derived: whole nanoseconds of it still fit into 64 bits
 _MOST_G = 3.0  # chosen: on average no flight pulls more; a higher mean is a wrong unit
 _FEWEST = 100  # chosen: samples that gravity is judged by: fewer may all lie in one manoeuvre
 RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
@@ -109,7 +110,7 @@ class CsvRecording(LoggedRecording):
             elif name != "t_s":
                 self._covariate(file, name, t_s, values)
         for station, columns in sorted(stations.items()):
-            yield stream_of(station, nanoseconds(t_s), columns)
+            yield stream_of(station, nanoseconds(file, t_s), columns)
 
     def _covariate(self, file: Path, name: str, t_s: Floats, values: Floats) -> None:
         if not has_unit(name):
@@ -239,6 +240,15 @@ def _as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
     return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_of(stream.t_ns, sensor.rate_hz), source=source)
 
 
-def nanoseconds(t_s: Floats) -> Ints:
-    """Seconds (n,) as whole nanoseconds."""
+def nanoseconds(path: Path, t_s: Floats) -> Ints:
+    """Seconds (n,) as whole nanoseconds.
+
+    Raises
+    ------
+    RecordingError
+        They do not fit: the stamps are in another unit.
+    """
+    largest = float(np.max(np.abs(t_s), initial=0.0))
+    if largest > _LATEST_S:
+        raise RecordingError(f"{path}: t_s reaches {largest:.4g}, t_s must be in seconds: convert it, or map its unit")
     return np.rint(t_s * 1e9).astype(np.int64)

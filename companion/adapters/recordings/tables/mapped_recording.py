@@ -71,7 +71,7 @@ class MappedRecording(LoggedRecording):
                 self.covariates[name] = Covariate(name, table.t_s, values)
         if not stations:
             raise TableError(Path(mapping.origin), 1, "no channel <place>_<axis>_<unit>, such as left_z_mps2")
-        t_ns = nanoseconds(table.t_s)
+        t_ns = nanoseconds(table.path, table.t_s)
         for station, columns in sorted(stations.items()):
             yield stream_of(station, t_ns, columns)
 
