@@ -129,6 +129,22 @@ def test_channels_may_be_rows_and_a_single_number_holds_for_the_whole_recording(
     assert "airspeed_mps" not in read_mapped(tmp_path / "still.mat", mapping).channels
 
 
+def test_named_channels_may_be_rows_and_as_many_names_as_no_side_has_are_refused(tmp_path: Path) -> None:
+    mapping = parse_mapping(
+        'test = "limit-cycle"\nband_hz = [1.0, 2.0]\n[matlab]\narray = "data"\nnames = "channels"\n'
+        '[columns]\n"time" = { channel = "t_s" }\n"L" = { channel = "response_left" }\n',
+        "rows.toml",
+    )
+    data = np.random.default_rng(0).normal(size=(3, 30))
+    savemat(tmp_path / "a.mat", {"data": data, "channels": np.array(["time", "L", "R"], dtype=object)})
+    read = read_mapped(tmp_path / "a.mat", mapping)
+    np.testing.assert_array_equal(read.t_s, data[0])
+    np.testing.assert_array_equal(read.channels["response_left"], data[1])
+    savemat(tmp_path / "a.mat", {"data": data, "channels": np.array(["time", "L"], dtype=object)})
+    with pytest.raises(RecordingError, match=r"a.mat: 'channels' has 2 names, 'data' is 3 by 30: give one name"):
+        read_mapped(tmp_path / "a.mat", mapping)
+
+
 def test_an_object_of_matlab_s_own_is_left_out(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"x": np.arange(3.0)})
     # array flags of class 17 (opaque), then a name, and no dimensions

@@ -21,13 +21,13 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
     Raises
     ------
     RecordingError
-        No MATLAB v5 file, or not the variables that the mapping names.
+        No MATLAB v5 file, or not the variables that the mapping names, or as many names as neither side has.
     TableError
         A channel is missing, is not numbers, or is of another length; row and channel are named.
     """
     variables = read_matlab(path)
-    array = _array(path, variables, layout)
     names = _names(path, variables, layout)
+    array = _array(path, variables, layout, len(names))
     channels: dict[str, Floats] = {}
     for column in mapping.columns:
         values = _channel(path, column, variables, array, names)
@@ -49,7 +49,7 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
     return channels
 
 
-def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
+def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout, channels: int) -> Any:
     if not layout.array:
         return None
     if layout.array not in variables:
@@ -58,8 +58,14 @@ def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
     array = variables[layout.array]
     if array.ndim != 2 or array.dtype.kind not in "iuf":
         raise RecordingError(f"{path}: variable '{layout.array}' is no table of numbers")
-    # without names the longer side is time
-    return array if layout.names or array.shape[0] >= array.shape[1] else array.T
+    if not layout.names:  # the longer side is time
+        return array if array.shape[0] >= array.shape[1] else array.T
+    if channels not in array.shape:
+        raise RecordingError(
+            f"{path}: '{layout.names}' has {channels} names, '{layout.array}' is {array.shape[0]} by {array.shape[1]}: "
+            "give one name for each channel"
+        )
+    return array if array.shape[1] == channels else array.T
 
 
 def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[str]:
@@ -78,7 +84,7 @@ def _channel(path: Path, column: ColumnMapping, variables: dict[str, Any], array
             has = "no array" if array is None else f"{array.shape[1]} channels"
             raise RecordingError(f"{path}: column '{column.name}' ({column.channel}) is asked for, but there are {has}")
         return array[:, int(number) - 1]
-    if array is not None and column.name in names[: array.shape[1]]:
+    if array is not None and column.name in names:
         return array[:, names.index(column.name)]
     return variables.get(column.name)
 
