@@ -100,8 +100,10 @@ def _vibration(
     if len({run.frequency_hz.size for run in runs}) > 1:
         raise RecordingError("the runs are of different length or rate: compare runs of one kind")
     progress("fit the modes of every run", 0.0)
-    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], progress)
+    modes, notes = modes_of_runs(runs)
+    diagnosis = diagnose_modal_test(modes, [run.constants for run in runs], progress)
     plain = modal_json(diagnosis, [str(table.path) for table in tables], options.airframe)
+    plain["notes"] += notes
     return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 

@@ -49,9 +49,33 @@ def test_responses_of_a_whole_record_are_the_ratio_of_its_transforms() -> None:
     np.testing.assert_allclose(response[1], np.exp(-2j * np.pi * f_hz * 3 / 200.0), atol=1e-9)
 
 
+def swept(seconds: float, seed: int) -> VibrationRun:
+    """One accelerometer at 200 Hz with modes at 6 and 11 Hz, under a sweep that has no force at its ends."""
+    count = int(200.0 * seconds)
+    rng, t_s, f_hz = np.random.default_rng(seed), np.arange(count) / 200.0, np.fft.rfftfreq(count, 1.0 / 200.0)
+    force = np.sin(2.0 * np.pi * (t_s + 14.5 / seconds * t_s**2)) * np.hanning(count)
+    flexibility = sum(-(f_hz**2) / (f_n**2 - f_hz**2 + 0.04j * f_n * f_hz) for f_n in (6.0, 11.0))
+    answer = np.fft.irfft(flexibility * np.fft.rfft(force), count) + 0.05 * rng.standard_normal(count)
+    return VibrationRun(str(seed), *responses(force, answer[:, None], 200.0, (2.0, 28.0)))
+
+
+def test_a_record_too_short_for_a_fit_is_refused_with_the_lines_that_are_needed() -> None:
+    for seconds in (3.0, 4.0):
+        with pytest.raises(RecordingError, match=r"record longer: \d lines .* peak at .* Hz, 5 are needed"):
+            modes_of_runs([swept(seconds, seed) for seed in range(3)])
+    with pytest.raises(RecordingError, match="6 lines of the spectrum lie in band_hz, 7 are needed"):
+        modes_of_runs([VibrationRun("a", F_HZ[:6], np.ones((1, 6), dtype=np.complex128))])
+
+
+def test_a_peak_where_there_was_no_force_is_no_mode() -> None:
+    modes, notes = modes_of_runs([swept(60.0, 100 + k) for k in range(4)])
+    assert [mode.near_hz for mode in modes] == pytest.approx([6.0, 11.0], abs=0.01)
+    assert any("is no mode" in note for note in notes)
+
+
 def judge(frequencies: list[float], positions: list[float]) -> tuple[DiagnosisVerdict, dict[str, object]]:
     runs = [run_of(k + 1, f, position_m=x) for k, (f, x) in enumerate(zip(frequencies, positions, strict=True))]
-    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], lambda _what, _ratio: None)
+    diagnosis = diagnose_modal_test(modes_of_runs(runs)[0], [run.constants for run in runs], lambda _what, _ratio: None)
     return diagnosis.outcome.verdict, as_json(diagnosis, [run.name for run in runs], None)
 
 
@@ -83,7 +107,7 @@ def test_the_same_change_is_explained_where_positions_came_back_with_their_frequ
 
 
 def test_a_mode_that_stays_has_the_inverse_variance_mean_of_its_runs_as_frequency() -> None:
-    modes = modes_of_runs([run_of(k, 9.2, position_m=0.0) for k in range(4)])
+    modes, _ = modes_of_runs([run_of(k, 9.2, position_m=0.0) for k in range(4)])
     fitted = diagnose_modal_test(modes, [{"position_m": 0.0}] * 4, lambda _what, _ratio: None).outcome.final
     mode = modes[0]
     weight = mode.sigma_hz**-2
@@ -105,7 +129,7 @@ def test_where_positions_came_back_and_the_frequency_did_not_nothing_is_named() 
 
 def test_a_second_mode_that_does_not_follow_the_channel_is_left_over() -> None:
     runs = [run_of(k, f, position_m=x) for k, (f, x) in enumerate(zip(MOVED_HZ, POSITIONS_M, strict=True), 1)]
-    modes = modes_of_runs(runs)
+    modes, _ = modes_of_runs(runs)
     drifting = ModeOverRuns(modes[1].runs, tuple(
         dataclasses.replace(mode, frequency_hz=mode.frequency_hz + 0.05 * k) for k, mode in enumerate(modes[1].of_runs)
     ))  # fmt: skip
@@ -129,5 +153,5 @@ def test_what_was_not_noted_of_every_run_explains_nothing_and_stops_nothing() ->
         run_of(k + 1, f, **({} if k == 2 else {"position_m": x}))
         for k, (f, x) in enumerate(zip(MOVED_HZ, POSITIONS_M, strict=True))
     ]
-    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], lambda _what, _ratio: None)
+    diagnosis = diagnose_modal_test(modes_of_runs(runs)[0], [run.constants for run in runs], lambda _what, _ratio: None)
     assert diagnosis.outcome.verdict is DiagnosisVerdict.UNEXPLAINED

@@ -9,6 +9,7 @@ with omega_n and zeta of the run and r_o, c_o, d_o of each response: nuisances t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
+from companion.errors import RecordingError
 from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
@@ -27,6 +29,8 @@ _SMOOTHED = 7  # bins of the moving average in which peaks are sought (choice)
 _PROMINENCE = 0.7  # chosen: of the logarithm: a factor of two above what lies beside
 # chosen: starts of the fit, from a metal frame's to a wing's in air; the best one counts
 _DAMPINGS = (0.003, 0.01, 0.03)
+_LEAST_FREEDOM = 1  # convention: numbers about a peak beyond the unknowns: with none the fit is exact, its sigma 0
+_MOST_LEFT = 0.5  # of the responses about a peak, which no mode that stands out leaves (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +88,59 @@ def responses(
     return np.asarray(f_hz[inside]), np.asarray((answered / pushed[:, None]).T)
 
 
-def modes_of_runs(runs: Sequence[VibrationRun]) -> list[ModeOverRuns]:
-    """Every mode that stands out of the mean response of all runs, by frequency."""
+def modes_of_runs(runs: Sequence[VibrationRun]) -> tuple[list[ModeOverRuns], list[str]]:
+    """Modes by frequency, and a sentence about each peak that is none: one mode does not describe it, or few lines do.
+
+    Raises
+    ------
+    RecordingError
+        The record is too short: too few lines in the band, or about every peak.
+    """
     f_hz = runs[0].frequency_hz
+    if len(f_hz) < _SMOOTHED:
+        raise RecordingError(f"record longer: {len(f_hz)} lines of the spectrum lie in band_hz, {_SMOOTHED} are needed")
     level = _smooth(np.mean([_level(run.response) for run in runs], axis=0))
     peaks, _ = find_peaks(np.log(level), prominence=_PROMINENCE)
     names = tuple(run.name for run in runs)
-    return [ModeOverRuns(names, tuple(mode_of(run, float(f_hz[k])) for run in runs)) for k in peaks]
+    modes, notes, short = [], [], []
+    for k in peaks:
+        try:
+            mode = ModeOverRuns(names, tuple(mode_of(run, float(f_hz[k])) for run in runs))
+        except RecordingError as error:
+            short.append(error)
+            continue
+        remains = float(np.median([each.deviation for each in mode.of_runs]))
+        if remains < _MOST_LEFT:
+            modes.append(mode)
+        else:
+            notes.append(
+                f"the peak near {f_hz[k]:.2f} Hz is no mode: one leaves {100 * remains:.0f} % of it; was it driven?"
+            )
+    if short and not modes:
+        raise short[0]
+    return modes, [*notes, *(f"a peak is left out: {error}" for error in short)]
 
 
 def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
-    """The mode of one run that peaks nearest to a frequency."""
+    """The mode of one run that peaks nearest to a frequency.
+
+    Raises
+    ------
+    RecordingError
+        Too few lines lie about the peak.
+    """
     level = np.where(np.abs(run.frequency_hz - near_hz) < _REACH * near_hz, _smooth(_level(run.response)), 0.0)
     peak_hz = float(run.frequency_hz[int(np.argmax(level))])
     inside = np.abs(run.frequency_hz - peak_hz) < max(_WIDTH * peak_hz, _LEAST_WIDTH_HZ)
     omega, shown = 2.0 * np.pi * run.frequency_hz[inside], run.response[:, inside].T
+    # real and imaginary each; the mode and the two beside it are complex in every response
+    freedom = shown.size * 2 - 2 - 6 * shown.shape[1]
+    if freedom < _LEAST_FREEDOM:
+        needed = math.ceil(3.0 + 0.5 * (2 + _LEAST_FREEDOM) / shown.shape[1])
+        raise RecordingError(
+            f"run {run.name}: record longer: {len(omega)} lines of the spectrum about the peak at {peak_hz:.2f} Hz, "
+            f"{needed} are needed"
+        )
 
     def left(guess: Floats) -> Floats:
         design = _design(omega, guess)
@@ -107,8 +149,7 @@ def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
 
     tries = [least_squares(left, [peak_hz, np.log(zeta)], x_scale=[0.01 * peak_hz, 0.3]) for zeta in _DAMPINGS]
     best = min(tries, key=lambda solution: float(solution.cost))
-    freedom = len(best.fun) - 2 - 6 * shown.shape[1]
-    variance = 2.0 * float(best.cost) / max(freedom, 1)
+    variance = 2.0 * float(best.cost) / freedom
     slope = np.asarray(best.jac, dtype=np.float64)
     spread = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)) * variance)
     zeta = float(np.exp(best.x[1]))
