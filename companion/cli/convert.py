@@ -6,15 +6,18 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns, write_tlog
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.tables.csv import Covariate, CsvRecording
 from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
 from companion.adapters.recordings.tables.record_tables import RecordTables
 from companion.adapters.recordings.tables.tables_readme import README, write_readme
 from companion.cli.steps.options import add_recording, check_output, open_given, result_folder
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
-from companion.records import ImuBatch, RawChunk
+from companion.records import ImuBatch, Ints, RawChunk
 
 _FILES = (
     ".csv",
@@ -92,7 +95,8 @@ def _write_tables(recording: Recording, folder: Path) -> list[str]:
                 batches.append(record)
             tables.add(record)
     written = [f"{name}: {count} rows" for name, count in sorted(tables.rows.items())]
-    samples = dict(_samples(folder, batches))
+    laboratory = recording if isinstance(recording, CsvRecording) else None
+    samples = dict(_samples(folder, batches, laboratory))
     written += [f"{name}/: {text}" for name, text in samples.items()]
     if written:
         write_readme(folder, recording, tables, samples)
@@ -100,14 +104,32 @@ def _write_tables(recording: Recording, folder: Path) -> list[str]:
     return written
 
 
-def _samples(folder: Path, batches: list[ImuBatch]) -> Iterator[tuple[str, str]]:
-    """Write the samples of each clock into a folder of their own; give its name and what it holds."""
+def _samples(folder: Path, batches: list[ImuBatch], laboratory: CsvRecording | None) -> Iterator[tuple[str, str]]:
+    """Write the samples of each clock into a folder of their own; give its name and what it holds.
+
+    A laboratory's tables, which have a single clock, bring covariates, inputs and ranges.
+    """
+    covariates = [] if laboratory is None else list(laboratory.covariates.values())
+    ranges = None if laboratory is None else laboratory.ranges
     for clock in sorted({batch.clock for batch in batches}):
         of_clock = [batch for batch in batches if batch.clock is clock]
         streams = streams_of(of_clock)
         place = folder / f"samples_{clock}"
-        write_folder(place, streams)
+        on_stamps = [_on_stamps(covariate, streams[0].t_ns) for covariate in covariates]
+        write_folder(place, streams, on_stamps, ranges)
         counts = ", ".join(f"{len(stream.t_ns)} of {stream.station.name.lower()}" for stream in streams)
         repeated = sum(len(batch.t_ns) for batch in of_clock) - sum(len(stream.t_ns) for stream in streams)
         left_out = f"; {repeated} whose stamps repeat are left out" if repeated else ""
-        yield place.name, f"samples in the clock '{clock}': {counts}{left_out}"
+        beside = [covariate.name for covariate in on_stamps]
+        beside += [] if ranges is None else [f"{len(ranges.t_s)} ranges (range.csv)"]
+        beside_text = f"; with {', '.join(beside)}" if beside else ""
+        yield place.name, f"samples in the clock '{clock}': {counts}{beside_text}{left_out}"
+
+
+def _on_stamps(covariate: Covariate, t_ns: Ints) -> Covariate:
+    """The covariate at the stamps of ``accel.csv`` (n,): as it is where it has them, or else interpolated."""
+    covariate_ns, rows = np.unique(np.rint(covariate.t_s * 1e9).astype(np.int64), return_index=True)
+    values = covariate.values[rows]
+    if not np.array_equal(covariate_ns, t_ns):
+        values = np.interp(t_ns, covariate_ns, values)
+    return Covariate(covariate.name, t_ns / 1e9, values)

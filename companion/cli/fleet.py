@@ -9,7 +9,7 @@ import argparse
 import os
 from pathlib import Path
 
-from companion.adapters.recordings.recording_factory import SUFFIXES, is_recording_file
+from companion.adapters.recordings.recording_factory import SUFFIXES, recordings_in
 from companion.cli.steps.fleet_tasks import NO_PAGES, work
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output, make_folder
@@ -91,13 +91,10 @@ def _files(logs: list[Path]) -> list[Path]:
     for path in logs:
         if not path.exists():
             raise ConfigError(f"{path}: no such file or folder")
-        is_table = path.is_dir() and (path / "accel.csv").exists()
-        if path.is_dir() and not is_table:
-            files += sorted(filter(is_recording_file, path.rglob("*")))
-        else:
-            files.append(path)
+        files += recordings_in(path) if path.is_dir() else [path]
     if not files:
-        raise ConfigError(f"no recording ({', '.join(SUFFIXES)}) in {', '.join(map(str, logs))}")
+        kinds = f"{', '.join(SUFFIXES)}, or a folder with accel.csv"
+        raise ConfigError(f"no recording ({kinds}) in {', '.join(map(str, logs))}")
     return files
 
 

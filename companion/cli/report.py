@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Write the page and print its verdict; 3 where nothing was tracked or measured."""
     require_report()
-    out = options.out or options.recording.with_suffix(".html")
+    out = options.out or options.recording.resolve().with_suffix(".html")
     check_output(out, "--out", [options.recording])
     recording = open_given(options)
     log = gather(_watched(recording, plain=options.plain))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.cli import fleet
 from companion.cli.main import main
 from companion.cli.steps import fleet_tasks
 from companion.errors import RecordingError
@@ -291,6 +292,21 @@ def test_the_command_writes_table_page_and_parts(tmp_path: Path, capsys: pytest.
     assert sum("failed" in summary for summary in parts) == 1
     (logs / "broken.mcap").unlink()
     assert main(command) == 0
+
+
+def test_folders_of_tables_are_recordings_wherever_they_lie_and_converted_ones_are_none(tmp_path: Path) -> None:
+    for name in (
+        "lab/accel.csv",
+        "deep/lab2/accel_left.csv",
+        "deep/lab2/accel_right.csv",
+        "tables/samples_host/accel.csv",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("t_s,left_z_mps2\n0,-9.8\n")
+    (tmp_path / "deep" / "a.mcap").touch()
+    expected = [tmp_path / "deep" / "a.mcap", tmp_path / "deep" / "lab2", tmp_path / "lab"]
+    assert fleet._files([tmp_path]) == expected
+    assert fleet._files([tmp_path / "deep" / "lab2"]) == [tmp_path / "deep" / "lab2"]
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:

@@ -268,6 +268,17 @@ def test_a_recording_without_modes_or_ranges_ends_with_3(tmp_path: Path, capsys:
 
 
 @pytest.mark.filterwarnings("error")
+def test_the_page_of_the_folder_that_one_stands_in_lies_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "accel.csv").write_text("t_s,left_z_mps2\n" + "".join(f"{0.002 * i},-9.8\n" for i in range(200)))
+    monkeypatch.chdir(lab)
+    assert main(["report", ".", "--airframe", "nadir-2m"]) == 3
+    assert (tmp_path / "lab.html").is_file()
+
+
 def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_path: Path) -> None:
     path = tmp_path / "short.mcap"
     writer = McapWriter(path, About.of(AIRFRAME, Settings()))

@@ -15,6 +15,7 @@ from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.adapters.recordings.tables.record_tables import RecordTables
 from companion.adapters.recordings.tables.tables_readme import column_unit
 from companion.cli.main import main
@@ -236,6 +237,30 @@ def test_a_log_without_a_link_becomes_no_telemetry_log(
     (tmp_path / "accel.csv").write_text("t_s,left_z_mps2\n" + "".join(f"{0.01 * i},-9.8\n" for i in range(100)))
     assert main(["convert", str(tmp_path), str(tmp_path / "a.tlog"), "--airframe", "nadir-2m"]) == 1
     assert "holds no MAVLink frames" in capsys.readouterr().err
+
+
+def test_a_laboratory_s_covariates_inputs_and_ranges_are_converted_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    rows = "".join(f"{0.002 * i},-9.8,{17.0 + 0.1 * i},{i % 3}\n" for i in range(200))
+    (lab / "accel.csv").write_text("t_s,left_z_mps2,airspeed_mps,input_n\n" + rows)
+    slow = "".join(f"{0.004 * i},-9.8,{20.0 + i}\n" for i in range(100))
+    (lab / "accel_right.csv").write_text("t_s,z_mps2,temperature_degc\n" + slow)
+    (lab / "range.csv").write_text("t_s,range_m\n0.1,40.5\n0.2,inf\n")
+    assert main(["convert", str(lab), str(tmp_path / "tables"), "--airframe", "nadir-2m"]) == 0
+    text = "with airspeed_mps, input_n, temperature_degc, 2 ranges (range.csv)"
+    assert text in capsys.readouterr().out
+    assert text in (tmp_path / "tables" / "README.txt").read_text()
+    before, after = (CsvRecording(path, AIRFRAME) for path in (lab, tmp_path / "tables" / "samples_host"))
+    for name in ("airspeed_mps", "input_n"):
+        np.testing.assert_array_equal(after.covariates[name].values, before.covariates[name].values)
+    slow_values = after.covariates["temperature_degc"].values
+    np.testing.assert_allclose(slow_values[:3], [20.0, 20.5, 21.0])  # interpolated to the stamps of accel.csv
+    assert before.ranges is not None
+    assert after.ranges is not None
+    np.testing.assert_array_equal(after.ranges.range_m, before.ranges.range_m)
 
 
 def test_samples_whose_stamps_repeat_are_counted_as_left_out(

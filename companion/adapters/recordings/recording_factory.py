@@ -60,9 +60,23 @@ def is_recording_file(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
+def is_recording_folder(path: Path) -> bool:
+    """Whether a path is a folder of a laboratory's tables."""
+    return (path / "accel.csv").is_file() or any(path.glob("accel_*.csv"))
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Recordings at a folder or below it: files, and folders of tables, but none that spanwise convert wrote."""
+    if is_recording_folder(folder):
+        return [folder]
+    holders = {path.parent for path in folder.rglob("accel*.csv")}
+    tables = [path for path in holders if is_recording_folder(path) and not is_converted(path.parent)]
+    return sorted([*filter(is_recording_file, folder.rglob("*")), *tables])
+
+
 def _check_folder(path: Path) -> None:
     """Say what a folder without samples is, before an airframe is asked for."""
-    if (path / "accel.csv").exists() or any(path.glob("accel_*.csv")):
+    if is_recording_folder(path):
         return
     if is_converted(path):
         raise RecordingError(
