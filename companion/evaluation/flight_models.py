@@ -8,7 +8,7 @@ from pathlib import Path
 
 from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.diagnosis.data.observations import Observations
-from companion.diagnosis.data.resampling import observe
+from companion.diagnosis.data.resampling import in_common_units, observe
 from companion.diagnosis.model.belief import Belief, believe
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.recorded_evidence import load
@@ -32,7 +32,7 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
         One cannot be read, has no wing accelerometer, or less than 8 s in all can be used.
     """
     top_hz = top_of(airframe)
-    recorded = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
+    recorded = in_common_units([observe(load(path, airframe, mapping), airframe, top_hz) for path in paths], airframe)
     belief = belief_for(airframe, recorded)
     return [
         FlightModel(belief, short, top_hz, k)

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from companion.adapters.recordings.tables.mapping import load_mapping
 from companion.cli.main import main
+from companion.diagnosis.data.observations import RawRecording, RawStream
 from companion.evaluation.flight_models import models_of
 from companion.params.files import load_airframe
 from companion.records import Side
@@ -112,3 +113,22 @@ def test_a_laboratory_s_own_table_reaches_the_model_in_si(tmp_path: Path) -> Non
     # 0.01 g rms of white noise over 125 Hz, of which the model's band keeps its share
     in_band_mps2 = 0.01 * 9.80665 * np.sqrt(0.5 * model.observations.rate_hz / 125.0)
     np.testing.assert_allclose(model.observations.up_mps2.std(0), in_band_mps2, rtol=0.1)
+
+
+def test_a_channel_has_one_unit_in_recordings_that_are_judged_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Constant in each at 15 and 25 m/s: about 20 by 5; a recording that lacks it keeps the unit for the file."""
+    rng = np.random.default_rng(6)
+    t_s = np.arange(0.0, 12.0, 0.005)
+    airspeeds = {"slow": 15.0, "fast": 25.0, "unrecorded": None}
+
+    def raw(path: Path, *_: object) -> RawRecording:
+        tips = {side: RawStream(t_s, -9.8 + 0.1 * rng.standard_normal(len(t_s))) for side in Side}
+        speed = airspeeds[path.name]
+        return RawRecording(tips, None, None, {} if speed is None else {"tas_mps": (t_s, np.full(len(t_s), speed))})
+
+    monkeypatch.setattr("companion.evaluation.flight_models.load", raw)
+    models = models_of([Path(name) for name in ("unrecorded", "slow", "fast")], load_airframe("nadir-2m"))
+    for model, expected in zip(models[1:], (-1.0, 1.0), strict=True):
+        np.testing.assert_allclose(model.observations.covariates["tas_mps"], expected)
+    assert not models[0].observations.covariates
+    assert [model.observations.units for model in models] == [{"tas_mps": pytest.approx((20.0, 5.0))}] * 3

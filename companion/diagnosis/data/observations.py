@@ -110,7 +110,7 @@ class Observations:
     bending_factor : (m,) or None
         ``load_factor`` as far as it bends the wing from outside; None where that is all of it.
     covariates : dict of str to (m,)
-        About their means, in units of their rms over the whole recording; ``units`` has both.
+        About their means, in units of their rms over all recordings that are judged together; ``units`` has both.
     toe : ToeData or None
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded, as far as they bend the wing.

@@ -82,21 +82,14 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
     defects = {side: _faults(raw.tips[side], segments, airframe, side) for side in sorted(raw.tips)}
     observed = [_observed(ordered, airframe, segment, top_hz, fine_hz, defects) for segment in segments]
-    units = _units([entry.covariates for entry in observed], airframe)
     if observed[0].roll_is_missing:
         notes.append(
             "the root's roll rate was not recorded (root_p_radps): what is slower than the aircraft rolls is not judged"
         )
     begun_s = segments[0].start_s
-    return [
+    segmented = [
         dataclasses.replace(
             observations,
-            covariates={
-                name: (values - units[name][0]) / units[name][1]
-                for name, values in observations.covariates.items()
-                if name in units
-            },
-            units=units,
             notes=tuple(notes),
             used_ratio=observations.duration_s / sum(other.duration_s for other in observed),
             toe=toe,
@@ -104,6 +97,36 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         )
         for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
     ]
+    return in_common_units([segmented], airframe)[0]
+
+
+def in_common_units(recorded: Sequence[Sequence[Observations]], airframe: Airframe) -> list[list[Observations]]:
+    """Recordings, each by its segments, with covariates about the mean and in the rms of all of them together.
+
+    Recordings that are judged together share a coefficient, so a unit of its channel must be the same in each.
+    """
+    measured = [[_measured(segment) for segment in segments] for segments in recorded]
+    units = _units([channels for entries in measured for channels in entries], airframe)
+    return [
+        [
+            dataclasses.replace(
+                segment,
+                covariates={name: (values - units[name][0]) / units[name][1] for name, values in channels.items()},
+                units=units,
+            )
+            for segment, channels in zip(segments, entries, strict=True)
+        ]
+        for segments, entries in zip(recorded, measured, strict=True)
+    ]
+
+
+def _measured(segment: Observations) -> dict[str, Floats]:
+    """Covariates in the units that they were recorded in; measured forces are none."""
+    return {
+        name: values * segment.units[name][1] + segment.units[name][0] if name in segment.units else values
+        for name, values in segment.covariates.items()
+        if not name.startswith(_INPUT)
+    }
 
 
 def _observed(
@@ -333,12 +356,10 @@ def _resample(values: Floats, count: int) -> Floats:
 
 def _units(covariates: Sequence[Mapping[str, Floats]], airframe: Airframe) -> dict[str, tuple[float, float]]:
     """Mean and rms that each covariate is counted in: those of an effect in force that follows it, or its own."""
-    channels = {name: np.concatenate([entry[name] for entry in covariates]) for name in covariates[0]}
-    units = {
-        name: (float(values.mean()), float(values.std()) or 1.0)
-        for name, values in channels.items()
-        if not name.startswith(_INPUT)
-    }
+    units = {}
+    for name in dict.fromkeys(name for entry in covariates for name in entry):
+        values = np.concatenate([entry[name] for entry in covariates if name in entry])
+        units[name] = float(values.mean()), float(values.std()) if np.ptp(values) > 0.0 else 1.0
     for effect in airframe.effects:
         if effect.channel in units and effect.channel_rms > 0.0:
             units[effect.channel] = (effect.channel_mean, effect.channel_rms)
