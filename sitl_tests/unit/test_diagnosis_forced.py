@@ -88,3 +88,22 @@ def test_too_short_a_recording_says_so() -> None:
     t_s = np.arange(300) / RATE_HZ
     with pytest.raises(RecordingError, match="too short"):
         diagnose_forced([ForcedRecording("short", t_s, np.sin(t_s), np.cos(t_s))], (5.0, 30.0), 3, lambda _w, _r: None)
+
+
+def test_intervals_of_a_linear_oscillator_hold_the_truth_as_often_as_they_say() -> None:
+    """An exact response with noise: squares of errors in sigmas are 1 on average, and 1.8 if every bin counted."""
+    rate_hz, count, truth = 200.0, 6000, np.array([1e-3, 0.02, 8.0])
+    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
+    omega = 2.0 * np.pi * f_hz
+    pulls = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        spectrum = np.fft.rfft(rng.standard_normal(count)) * ((f_hz > 1.0) & (f_hz < 30.0))
+        swing = np.fft.irfft(spectrum / (truth[2] + 1j * omega * truth[1] - omega**2 * truth[0]), count)
+        shown = swing + 3e-4 * swing.std() * rng.standard_normal(count)
+        recording = ForcedRecording("", np.arange(count) / rate_hz, np.fft.irfft(spectrum, count), shown)
+        diagnosis = diagnose_forced([recording], (2.0, 28.0), 0, lambda _what, _ratio: None)
+        sigmas = [diagnosis.outcome.null.value(name)[1] for name in ("mass", "damping", "stiffness")]
+        pulls.append((diagnosis.linear(False) - truth) * diagnosis.scale[:3] / sigmas)
+    assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=0.4)
+    assert np.mean(np.abs(pulls) < 1.96) > 0.9

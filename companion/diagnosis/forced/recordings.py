@@ -37,6 +37,7 @@ _LEAST_BINS = 8  # chosen: of the band in a segment: more than the parameters of
 _EDGE = 0.02  # of a recording, at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)
+_INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
@@ -112,7 +113,9 @@ def diagnose_forced(
     )
     rms = float(np.sqrt(np.mean(force**2)))
     group = np.zeros(len(force), dtype=np.int64)
-    response = RegressionResponse(FORCE, force, weight, group, block, omega, 0.0, 1e-3 * rms, 0.1 * rms, linear)
+    response = RegressionResponse(
+        FORCE, force, weight, group, block, omega, 0.0, 1e-3 * rms, 0.1 * rms, linear, independent_ratio=_INDEPENDENT
+    )
     terms = [
         RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)

@@ -2,7 +2,8 @@
 
 Row i of a response is y_i = x_i . theta + e_i, e_i normal with standard deviation exp(s_g) b_i, b_i given, g its group
 of equal noise. With r the residual in that unit, l = sum(-r^2/2 - s_g - ln b_i), its gradient sum(x r / (e^s b)) by
-theta and sum(r^2 - 1) by s_g, its information sum(x x^T / (e^s b)^2) and 2 n_g.
+theta and sum(r^2 - 1) by s_g, its information sum(x x^T / (e^s b)^2) and 2 n_g. Each is multiplied by the ratio of rows
+that are independent.
 """
 
 from __future__ import annotations
@@ -81,6 +82,8 @@ class RegressionResponse:
         Columns that are in every model.
     noise_sigma : float
         Prior of the noise's logarithm.
+    independent_ratio : float
+        How many of the rows are independent, by their number: bins of a tapered transform share information.
     """
 
     name: str
@@ -94,6 +97,7 @@ class RegressionResponse:
     noise: float
     nuisances: tuple[Coefficient, ...] = ()
     noise_sigma: float = _NOISE_SIGMA
+    independent_ratio: float = 1.0
 
 
 class RegressionModel:
@@ -146,10 +150,10 @@ class RegressionModel:
         return np.asarray((entry.values - self.predicted(values, response)) / self.noise(values, response))
 
     def log_density(self, values: Floats, response: int) -> Floats:
-        """Log density of each row of a response, (n,)."""
-        return np.asarray(
-            -0.5 * self.residual(values, response) ** 2 - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
-        )
+        """Log density of each row of a response, (n,), for as much as it is independent of the others."""
+        power = self.residual(values, response) ** 2
+        log_normal = -0.5 * power - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
+        return np.asarray(self.responses[response].independent_ratio * log_normal)
 
     def log_likelihood(self, values: Floats, near: RegressionModel | None = None) -> float:
         """Log likelihood at a vector (p,) of the rows that count."""
@@ -161,13 +165,13 @@ class RegressionModel:
         count = len(values)
         gradient, information = np.zeros(count), np.zeros((count, count))
         for k, use in enumerate(self.use):
-            r = self.residual(values, k)[use]
+            r, ratio = self.residual(values, k)[use], self.responses[k].independent_ratio
             white = self._design[k][use] / self.noise(values, k)[use, None]
-            gradient += white.T @ r
-            information += white.T @ white
+            gradient += ratio * (white.T @ r)
+            information += ratio * (white.T @ white)
             place = self._first[k] + 1 + self.responses[k].group[use]
-            np.add.at(gradient, place, r**2 - 1.0)
-            np.add.at(information, (place, place), 2.0)
+            np.add.at(gradient, place, ratio * (r**2 - 1.0))
+            np.add.at(information, (place, place), 2.0 * ratio)
         return Scores(self.log_likelihood(values), gradient, information, self)
 
     def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
@@ -194,8 +198,8 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
 
     @property
     def log_count(self) -> float:
-        """Logarithm of the number of rows."""
-        return math.log(sum(len(entry.values) for entry in self.responses))
+        """Logarithm of the number of independent rows."""
+        return math.log(sum(entry.independent_ratio * len(entry.values) for entry in self.responses))
 
     def null(self) -> RegressionFit:
         """Every response at its mean."""
