@@ -71,6 +71,7 @@ def execute(options: argparse.Namespace) -> int:
     paths = sampling_check.paths_of(options.recordings, mapping)
     timings = [sampling_check.timing(path, airframe, mapping) for path in paths]
     if not all(timing.can_be_judged for timing in timings):
+        _say_nothing_to_apply(options)
         return sampling_check.not_identifiable(timings, options, airframe.name)
     models = models_of(paths, airframe, mapping)
     diagnosis = diagnose(models, list(catalogue().values()), options.max_causes, progress)
@@ -83,10 +84,12 @@ def execute(options: argparse.Namespace) -> int:
     else:
         _print_findings(diagnosis, plain)
         if options.json:
-            Path(options.json).write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if options.html:
         write_report(diagnosis, models, plain, Path(options.html))
-    if options.apply is not None and diagnosis.causes:
+    if not diagnosis.causes:
+        _say_nothing_to_apply(options)
+    elif options.apply is not None:
         path = Path(options.apply or f"{airframe.name}-extended.toml")
         path.write_text(
             dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units)),
@@ -96,6 +99,11 @@ def execute(options: argparse.Namespace) -> int:
             names = ", ".join(cause.term.effect.name for cause in diagnosis.causes)
             print(f"wrote {path}: {airframe.name} with {names}")
     return NOTHING_TO_ESTIMATE if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
+
+
+def _say_nothing_to_apply(options: argparse.Namespace) -> None:
+    if options.apply is not None:
+        print("--apply: no effect was named, so no airframe was written", file=sys.stderr)
 
 
 def _print_findings(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:

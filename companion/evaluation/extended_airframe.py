@@ -65,6 +65,7 @@ def _wing(wing: Wing, spread: dict[str, float]) -> Wing:
 
 
 def _camera(camera: Camera | None, sign: float, deviation: dict[str, float], spread: dict[str, float]) -> Camera | None:
+    """Turned by half of the toe; its rotation's sigma stays, for it is that of all axes and the toe is one of them."""
     if camera is None or "toe_rad" not in spread:
         return camera
     x, y, z = camera.rotation_rad
@@ -72,7 +73,6 @@ def _camera(camera: Camera | None, sign: float, deviation: dict[str, float], spr
     return dataclasses.replace(
         camera,
         rotation_rad=(x, y + 0.5 * sign * deviation["toe_rad"], z),
-        rotation_sigma_rad=spread["toe_rad"] / math.sqrt(2.0),
         focal_px=Uncertain(
             focal_px * (1.0 + deviation.get("focal", 0.0)), focal_px * spread.get("focal", 0.0) * math.sqrt(2.0)
         ),

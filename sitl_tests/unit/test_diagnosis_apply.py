@@ -14,9 +14,16 @@ from companion.core.wing.model import WingModel
 from companion.core.wing.sample_corrections import SampleCorrections
 from companion.diagnosis.data.observations import RawRecording, RawStream
 from companion.diagnosis.data.resampling import observe
+from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit, FlightState
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.diagnosis import Diagnosis
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.recordings import no_correlation
+from companion.evaluation.extended_airframe import extended
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Axis, ClockName, ImuBatch, Side, Station
@@ -139,3 +146,27 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
     plain, lost = likelihood(None), likelihood(dataclasses.replace(entry, channel=""))
     assert lost == pytest.approx(plain)
     assert abs(likelihood(entry) - plain) > 1e-3 * abs(plain)
+
+
+def test_a_fitted_toe_turns_the_cameras_and_leaves_the_sigma_of_their_three_axes() -> None:
+    belief = believe(AIRFRAME, tuple(Side), True, False)
+    keys = tuple(entry.key for entry in belief.nuisances)
+    values = np.array([0.002 if key == "toe_rad" else 0.0 for key in keys])
+    count = len(keys)
+    fitted: FlightFit = Fit(
+        (), keys, (), values, values, np.ones(count), 1e-14 * np.eye(count), 0.0, 0.0, True, FlightState((), ())
+    )
+    none = no_correlation([])
+    diagnosis: FlightDiagnosis = Diagnosis(
+        DiagnosisVerdict.EXPLAINED, (), "", (), "", fitted, fitted, none, (), (), None
+    )
+    applied = extended(AIRFRAME, belief, diagnosis)
+    for camera, before, sign in (
+        (applied.left_camera, AIRFRAME.left_camera, -1.0),
+        (applied.right_camera, AIRFRAME.right_camera, 1.0),
+    ):
+        assert camera is not None
+        assert before is not None
+        assert camera.rotation_rad[1] - before.rotation_rad[1] == pytest.approx(sign * 0.001)
+        assert camera.rotation_sigma_rad == before.rotation_sigma_rad
+        assert camera.focal_px.sigma < before.focal_px.sigma

@@ -48,10 +48,14 @@ def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> Non
     assert "left_z" in plain["advice"][0]
 
 
-def test_a_wing_without_eight_seconds_gets_that_told(tmp_path: Path) -> None:
+def test_a_wing_without_eight_seconds_gets_that_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     t_s = np.arange(0.0, 12.0, 0.01)
     t_s = t_s[(t_s < 5.0) | (t_s > 11.0)]
-    plain = diagnosis_of(tmp_path, accel(tmp_path, "left", t_s), "--airframe", "nadir-2m")
+    applied = tmp_path / "applied.toml"
+    table = accel(tmp_path, "left", t_s)
+    plain = diagnosis_of(tmp_path, table, "--airframe", "nadir-2m", "--apply", str(applied))
+    assert "no airframe was written" in capsys.readouterr().err
+    assert not applied.exists()
     assert plain["verdict"] == "not-identifiable"
     assert "the longest stretch without a gap is 5.0 s" in plain["reason"]
     assert "at least 8 s in all" in plain["advice"][0]
