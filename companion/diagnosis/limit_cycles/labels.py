@@ -15,9 +15,10 @@ from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
-_FEWEST = 5  # limit cycles that can judge one of them (choice)
-_FAR = 6.0  # chosen: times the scatter of the others: no chance among hundreds
+_FEWEST = 7  # limit cycles of which one can be judged: with six others three residuals are left (choice)
+_FAR = 6.0  # chosen: times how well the others tell it: no chance among hundreds
 _LEAST = 0.06  # of the airspeed: less is drift of the rig between days (choice)
+_LEAST_ABSOLUTE = 0.5 * np.pi  # variance of a median by that of a mean, of normal errors (derived)
 _DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
 _REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
 SMALL = 0.35
@@ -33,7 +34,7 @@ _RELATED = 2.0  # gusts of the tunnel outlast a window: so much less do windows 
 class LabelDoubt:
     """A recording whose vibration is that of another airspeed than it says.
 
-    ``scatter_mps`` is that of the others, or how well they tell it; ``by`` what tells it.
+    ``scatter_mps`` is how well the others tell it; ``by`` what tells it.
     """
 
     recording: int
@@ -116,22 +117,48 @@ def _airspeed_by_growth(judged: _Growth, others: Sequence[_Growth]) -> tuple[flo
 
 
 def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:
-    """Each limit cycle's airspeed by its amplitude as the others have it, robust against other wrong labels."""
+    """Limit cycles whose amplitude is another airspeed's as the others have it, robust against other wrong labels."""
     steady = [i for i, entry in enumerate(tracks) if entry.steady.any() and entry.airspeed_mps is not None]
-    if len(steady) < _FEWEST:
-        return ()
     says = np.array([float(tracks[i].airspeed_mps or 0.0) for i in steady])
     tells = np.array([_features(tracks[i]) for i in steady])
+    return tuple(
+        LabelDoubt(steady[k], tracks[steady[k]].name, float(says[k]), expected, scatter)
+        for k, expected, scatter in _furthest_first(says, tells, list(range(len(steady))))
+    )
+
+
+def _furthest_first(says: Floats, tells: Floats, rows: list[int]) -> list[tuple[int, float, float]]:
+    """The row furthest off as the others have it, then the furthest of the rest; each with what it tells, and sigma.
+
+    The largest and the smallest amplitude are not judged: of an extrapolation nobody knows the error.
+    """
+    if len(rows) < _FEWEST:
+        return []
     doubts = []
-    for k, i in enumerate(steady):
-        others = np.arange(len(steady)) != k
-        coefficients = _least_absolute(_design(tells[others], tells[others]), says[others])
-        expected = float((_design(tells[k : k + 1], tells[others]) @ coefficients)[0])
-        residual = says[others] - _design(tells[others], tells[others]) @ coefficients
-        scatter = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
-        if abs(says[k] - expected) > max(_FAR * scatter, _LEAST * abs(expected)):
-            doubts.append(LabelDoubt(i, tracks[i].name, float(says[k]), expected, scatter))
-    return tuple(doubts)
+    for k in sorted(rows, key=lambda row: float(tells[row]))[1:-1]:
+        others = [row for row in rows if row != k]
+        expected, sigma = _airspeed_by_amplitude(tells[k], tells[others], says[others])
+        off = abs(says[k] - expected)
+        if off > max(_FAR * sigma, _LEAST * abs(expected)):
+            doubts.append((off / max(sigma, 1e-9), k, expected, sigma))
+    if not doubts:
+        return []
+    _, worst, expected, sigma = max(doubts)
+    return [(worst, expected, sigma), *_furthest_first(says, tells, [row for row in rows if row != worst])]
+
+
+def _airspeed_by_amplitude(judged: float, tells: Floats, says: Floats) -> tuple[float, float]:
+    """Airspeed and sigma at an amplitude's logarithm as others (n,) have it.
+
+    The fit passes through as many points as it has coefficients: the scatter is that of the rest.
+    """
+    design = _design(tells, tells)
+    coefficients = _least_absolute(design, says)
+    residual = np.sort(np.abs(says - design @ coefficients))[_DEGREE + 1 :]
+    row = _design(np.array([judged]), tells)[0]
+    leverage = float(row @ np.linalg.pinv(design.T @ design) @ row)
+    scatter = MAD_TO_SIGMA * float(np.median(residual))
+    return float(row @ coefficients), scatter * float(np.sqrt(1.0 + _LEAST_ABSOLUTE * leverage))
 
 
 def _features(entry: VibrationTrack) -> float:
