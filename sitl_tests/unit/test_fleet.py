@@ -196,6 +196,24 @@ def test_a_mode_that_falls_and_a_sensor_whose_noise_grows_are_named_once_each_wi
     assert any(text.startswith("old: left sensor's noise went from") for text in sentences)
 
 
+@pytest.mark.parametrize("count", [9, 12, 30])
+def test_flights_that_only_scatter_drift_no_oftener_than_three_sigmas(count: int) -> None:
+    """Four figures; 300 aircraft of which less than one drifts by chance. A change of 20 % is named."""
+    rng = np.random.default_rng(count)
+    spread = {"symmetric_hz": (5.0, 0.01), "antisymmetric_hz": (6.4, 0.01),
+              "symmetric_damping": (0.03, 0.15), "antisymmetric_damping": (0.03, 0.15)}  # fmt: skip
+    rows = [
+        {"file": f"{k}.mcap", "airframe": f"a{aircraft}", "symmetric_sigma_hz": 1.0, "antisymmetric_sigma_hz": 1.0,
+         "symmetric_damping_sigma": 1.0, "antisymmetric_damping_sigma": 1.0}
+        | {name: level * (1.0 + ratio * rng.standard_normal()) for name, (level, ratio) in spread.items()}
+        for aircraft in range(300) for k in range(count)
+    ]  # fmt: skip
+    assert len([text for text in findings(rows) if "went from" in text]) <= 3
+    softer = [row | {"symmetric_hz": float(row["symmetric_hz"]) * (0.8 if k >= count // 2 else 1.0)}
+              for k, row in enumerate(rows[:count])]  # fmt: skip
+    assert findings(softer)[0].startswith("a0: symmetric mode went from")
+
+
 def test_a_quieter_or_faster_sensor_is_no_finding() -> None:
     rows = [flight(k, left_noise=0.02 / (1 + k), left_rate_hz=900.0 + 10 * k) for k in range(12)]
     assert [text for text in findings(rows) if "went" in text] == []
@@ -216,8 +234,11 @@ def test_a_diagnosis_becomes_a_row_and_what_it_names_twice_a_finding() -> None:
 
 
 def test_the_lowest_mode_of_each_family_is_the_row_of_an_identification() -> None:
-    mode = {"frequency_hz": 5.0, "frequency_sigma_hz": 0.02, "damping": 0.03, "damping_sigma": 0.004}
-    row = identification_row({"airframe": "a", "symmetric": [mode, mode | {"frequency_hz": 27.0}], "antisymmetric": []})
+    mode = {"frequency_hz": 5.0, "frequency_sigma_hz": 0.02, "damping": 0.03, "damping_sigma": 0.004, "resolved": True}
+    tone = mode | {"frequency_hz": 3.3, "resolved": False}
+    row = identification_row(
+        {"airframe": "a", "symmetric": [tone, mode, mode | {"frequency_hz": 27.0}], "antisymmetric": [tone]}
+    )
     assert (row["symmetric_hz"], row["symmetric_damping"], row["symmetric_modes"]) == (5.0, 0.03, 2)
     assert (row["antisymmetric_hz"], row["antisymmetric_modes"]) == (None, 0)
 

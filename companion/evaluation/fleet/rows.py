@@ -65,10 +65,13 @@ def diagnosis_row(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def identification_row(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of one flight's modes: the lowest of each family, by the names that a report's row has for them."""
+    """Figures of one flight's modes: the lowest of each family that is resolved (a steady tone is not one of the wing).
+
+    They have the names that a report's row has for them.
+    """
     row: dict[str, Any] = {"airframe": result["airframe"]}
     for family in ("symmetric", "antisymmetric"):
-        modes = result[family]
+        modes = [mode for mode in result[family] if mode["resolved"]]
         lowest = modes[0] if modes else {}
         row[f"{family}_hz"] = _rounded(lowest.get("frequency_hz"))
         row[f"{family}_sigma_hz"] = _rounded(lowest.get("frequency_sigma_hz"))

@@ -1,8 +1,9 @@
 """Sentences on a fleet: whose mode drifts, whose sensor ages, and which single flight stands out of its aircraft's.
 
 Flights of an aircraft are compared in the order of their files' names. A drift is the change of the median from the
-first to the last third of them, and is named where it exceeds three of its sigmas; each median's sigma comes from the
-median absolute deviation of its flights (1.25 times that of a mean, for the normal law).
+first to the last third of them, whose flights scatter about either median by one amount (those between count for
+nothing: a step falls among them). A median's sigma is 1.25 times that of a mean, for the normal law. A drift is named
+where Student's t leaves it the chance of three sigmas, for all figures of an aircraft together.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from companion.records import Floats
-from companion.units import MAD_TO_SIGMA
+from scipy.stats import t as student
 
 _SIGMAS = 3.0  # by which a change or a flight is no chance (choice)
+_CHANCE = 0.0027  # that any figure of an aircraft that stays as it is drifts: beyond three sigmas (choice)
 _MOST = 20  # sentences that are read; the table has the rest (choice)
 _FEWEST = 3  # flights of an aircraft that have a median worth the name (choice)
 _THIRDS_FEWEST = 9  # flights that have thirds with medians (choice)
@@ -85,9 +85,10 @@ def findings(rows: Rows) -> list[str]:
         complete = [
             row for row in flights if not row.get("incomplete")
         ]  # what a file has lost, no sensor is to blame for
-        for figure in _FIGURES:
-            judged = complete if figure in _SENSORS else flights
-            drift = _drift(airframe, judged, figure)
+        measured = {figure: complete if figure in _SENSORS else flights for figure in _FIGURES}
+        tried = sum(len(figure.values(judged)) >= _THIRDS_FEWEST for figure, judged in measured.items())
+        for figure, judged in measured.items():
+            drift = _drift(airframe, judged, figure, tried)
             if drift is not None:
                 drifts.append(drift)
             else:
@@ -143,26 +144,23 @@ def _recurring_effects(airframe: str, flights: Rows) -> Iterator[tuple[float, st
             yield len(values), f"{airframe}: {what}, median {middle:.3g} ({low:.3g} to {high:.3g})"
 
 
-def _drift(airframe: str, flights: Rows, figure: _Figure) -> tuple[float, str] | None:
-    """Clearness in sigmas and sentence of a change from the first to the last third of the flights."""
+def _drift(airframe: str, flights: Rows, figure: _Figure, tried: int) -> tuple[float, str] | None:
+    """Clearness in sigmas and sentence of a change from the first to the last third, ``tried`` figures beside it."""
     values = np.array([value for _, value in figure.values(flights)])
     if len(values) < _THIRDS_FEWEST:
         return None
     third = len(values) // 3
-    first, first_sigma = _median(values[:third])
-    last, last_sigma = _median(values[-third:])
-    sigmas = abs(last - first) / max(float(np.hypot(first_sigma, last_sigma)), 1e-9 * abs(first), 1e-12)
+    ends = np.stack([values[:third], values[-third:]])
+    medians = np.median(ends, axis=1)
+    first, last = medians.tolist()
+    freedom = ends.size - len(ends)
+    scatter = float(np.sqrt(np.sum((ends - medians[:, None]) ** 2) / freedom))
+    sigma = max(_MEDIAN_SIGMA * scatter * float(np.sqrt(2.0 / third)), 1e-9 * abs(first), 1e-12)
+    sigmas = _SIGMAS * abs(last - first) / (sigma * float(student.isf(0.5 * _CHANCE / tried, freedom)))
     if sigmas < _SIGMAS or not figure.matters(last - first, first):
         return None
     change = f"went from {first:.4g} to {last:.4g} {figure.unit} ({100 * (last / first - 1):+.1f} %)"
     return sigmas, f"{airframe}: {figure.name} {change} between the first and the last third of {len(values)} flights"
-
-
-def _median(values: Floats) -> tuple[float, float]:
-    """Median and its sigma."""
-    middle = float(np.median(values))
-    scatter = MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
-    return middle, _MEDIAN_SIGMA * scatter / float(np.sqrt(len(values)))
 
 
 def _outliers(airframe: str, flights: Rows, figure: _Figure) -> Iterator[tuple[float, str]]:
