@@ -76,6 +76,28 @@ def test_a_second_run_makes_only_what_is_missing_or_has_changed(tmp_path: Path) 
     assert [path.with_suffix(".count").read_text() for path in paths] == ["xx", "x"]
 
 
+def test_an_airframe_s_text_a_folder_s_files_and_the_version_name_another_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    airframe, lab = tmp_path / "my.toml", tmp_path / "lab"
+    airframe.write_text("a = 1")
+    lab.mkdir()
+    (lab / "accel.csv").write_text("t_s,left_z_mps2\n0,1\n")
+    task = FileTask(lab, ("identify", "--airframe", str(airframe)), tmp_path / "out")
+    keys = [task.key, task.key]
+    airframe.write_text("a = 2")
+    keys.append(task.key)
+    with (lab / "accel.csv").open("a") as table:
+        table.write("1,1\n")
+    keys.append(task.key)
+    (lab / "range.csv").write_text("t_s\n")
+    keys.append(task.key)
+    monkeypatch.setattr("companion.evaluation.fleet.file_task.metadata.version", lambda _name: "another")
+    keys.append(task.key)
+    assert keys[0] == keys[1]
+    assert len(set(keys)) == 5
+
+
 def test_a_part_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     (path,) = files(tmp_path, "one")
     out = tmp_path / "out"

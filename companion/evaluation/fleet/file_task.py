@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 
@@ -24,10 +25,17 @@ class FileTask:
 
     @property
     def key(self) -> str:
-        """Name of the part: of the file's place, size and time, and of the words; another file of this name differs."""
-        state = self.path.stat() if self.path.exists() else None
-        identity: list[object] = [str(self.path.resolve()), list(self.words)]
-        identity += [] if state is None else [state.st_size, state.st_mtime_ns]
+        """Name of the part: of all that its result depends on, so that a further run makes anew what has changed.
+
+        That is the file's place, size and time (of a folder: its files'), the words, what is in files that words name,
+        and the software's version.
+        """
+        identity: list[object] = [str(self.path.resolve()), list(self.words), metadata.version("spanwise")]
+        files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
+        states = [(path.name, path.stat()) for path in files if path.is_file()]
+        identity += [(name, state.st_size, state.st_mtime_ns) for name, state in states]
+        named = [Path(word) for word in self.words]
+        identity += [hashlib.sha256(path.read_bytes()).hexdigest() for path in named if path.is_file()]
         digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()
         return f"{self.path.stem}-{digest[:12]}"
 
