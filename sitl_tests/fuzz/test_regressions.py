@@ -259,7 +259,12 @@ def test_numbers_of_an_airframe_that_cannot_be_are_refused(key: str, value: str)
 @pytest.mark.parametrize("corner_hz", ["0.001", "1000.0"])
 def test_the_stiffest_mode_that_is_accepted_can_be_tracked(damping: str, rate_hz: float, corner_hz: str) -> None:
     text = dump_airframe(AIRFRAME)
-    for key, value in (("frequency_hz", "500"), ("damping", damping), ("corners_hz", f"[{corner_hz}, 1000.0]")):
+    for key, value in (
+        ("frequency_hz", "500"),
+        ("damping", damping),
+        ("rate_hz", "2000.0"),
+        ("corners_hz", f"[{corner_hz}, 1000.0]"),
+    ):
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
     start(parse_airframe(text, "a.toml"), Settings().replace("TRK_RATE", rate_hz))
 
