@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.inverse_depth import RangeProduct
 from companion.core.stereo.matching import match
 from companion.core.stereo.ranging import PairConditions, RangeAnswer, correct, orientation_axis
 from companion.core.stereo.rotation import exp_rotation
@@ -330,6 +331,28 @@ def test_too_few_matches_are_refused_with_finite_numbers(count: int) -> None:
     answer = _range(airframe, matches, bend()).range
     assert (answer.trusted, answer.reject, answer.matches) == (False, Reject.NO_MATCHES, count)
     assert np.isfinite([answer.range_m, answer.sigma_m, answer.toe_rad, answer.toe_sigma_rad]).all()
+
+
+@pytest.mark.parametrize("count", [20, 40])
+def test_a_fit_to_few_of_many_matches_has_some_to_spare(count: int) -> None:
+    """The matches nearest to the axis, of which one has no weight: a sixth of such ranges had too few by that one."""
+    airframe = nadir(**perfect_calibration())
+    rig, tunables = Rig.from_airframe(airframe), SETTINGS.replace("RNG_PRODUCT", float(RangeProduct.CENTRE))
+    for seed in range(20):
+        pixels = raw_pixels(rig, ground_below(60.0, count, seed), (0.0, 0.0))
+        noise = 0.05 * np.random.default_rng(seed).standard_normal(pixels[1].shape)
+        assert _range(airframe, match_set(pixels[0], pixels[1] + noise), bend(), tunables).range.trusted
+
+
+@pytest.mark.parametrize("count", [4, 11])
+def test_too_few_matches_for_a_range_still_tell_an_obstacle(count: int) -> None:
+    """A mast before bare sky."""
+    airframe, rng = forward(**perfect_calibration()), np.random.default_rng(6)
+    points = np.column_stack([np.full(count, 60.0), rng.uniform(-1.0, 1.0, count), rng.uniform(-4.0, 2.0, count)])
+    answer = _range(airframe, match_set(*raw_pixels(Rig.from_airframe(airframe), points, (0.0, 0.0))), bend())
+    assert answer.range.reject is Reject.NO_MATCHES
+    assert answer.sectors is not None
+    assert answer.sectors.distance_m[0] == pytest.approx(60.0, rel=0.02)
 
 
 @pytest.mark.parametrize("range_m", [3.6, 230.0, -80.0])

@@ -83,11 +83,22 @@ def robust_inverse_depth(
             _edge(depths, inliers, _solve(depths, inliers, np.ones((inliers.size, 1))), size) if inliers.size else None
         )
     if product is RangeProduct.CENTRE:
-        count = max(least, round(_CENTRE_FRACTION * inliers.size))
+        count = max(_with_spare(least), round(_CENTRE_FRACTION * inliers.size))
         inliers = _outward(depths, inliers)[:count]
     elif not one_surface:
         return _surface_on_axis(depths, _outward(depths, inliers), least)
     return _plane(depths, inliers)
+
+
+def mean_inverse_depth(depths: Depths) -> InverseDepthEstimate | None:
+    """Mean of the matches that agree, where they are too few for a range; None without one."""
+    inliers = consistent(depths)
+    if not inliers.size:
+        return None
+    weights = np.zeros(depths.inverse_pm.size)
+    weights[inliers] = 1.0 / inliers.size
+    value, sigma = depths.inverse_pm[inliers], depths.sigma_pm[inliers]
+    return InverseDepthEstimate(float(value.mean()), float(np.linalg.norm(sigma)) / inliers.size, weights, inliers.size)
 
 
 def consistent(depths: Depths) -> Ints:
@@ -123,16 +134,21 @@ def _surface_on_axis(depths: Depths, outward: Ints, least: int) -> InverseDepthE
 
     Where some of the innermost do not, an edge is near, maybe on the axis: the sigma has what they depart by.
     """
-    count, core = outward.size, outward[:least]
+    count, core, fewest = outward.size, outward[:least], min(_with_spare(least), outward.size)
     while True:
         fitted = _plane(depths, outward[:count])
         departure_pm, allowed_pm = _departure(depths, core, fitted)
-        if float(np.median(np.abs(departure_pm))) <= allowed_pm or count == least:
+        if float(np.median(np.abs(departure_pm))) <= allowed_pm or count == fewest:
             # one of them may be a wrong match, two are an edge
             second_pm = float(np.sort(np.abs(departure_pm))[-2])
             beside_pm = second_pm if second_pm > allowed_pm else 0.0
             return dataclasses.replace(fitted, sigma_pm=float(np.hypot(fitted.sigma_pm, beside_pm)))
-        count = max(count // 2, least)
+        count = max(count // 2, fewest)
+
+
+def _with_spare(least: int) -> int:
+    """Matches to fit where ``least`` are to count: outliers among these have no weight."""
+    return least + least // 3
 
 
 def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tuple[Floats, float]:

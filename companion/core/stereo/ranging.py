@@ -10,7 +10,12 @@ from companion.core.stereo.consistency_gate import range_reject
 from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body, epipolar_axes
-from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
+from companion.core.stereo.inverse_depth import (
+    InverseDepthEstimate,
+    RangeProduct,
+    mean_inverse_depth,
+    robust_inverse_depth,
+)
 from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, straightened
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
@@ -134,7 +139,9 @@ def correct(
     if estimate is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if estimate is None else Reject.NOT_FINITE
         refused = _refused(scene.matches, scene.t_host_ns, airframe.orientation, settings, reason)
-        return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
+        few = mean_inverse_depth(depths) if reason is Reject.NO_MATCHES and airframe.looks_forward else None
+        sectors = None if few is None else scene.sectors(matches, scene.causes(few).total, settings)
+        return RangeAnswer(refused, sectors, depths, 0.0, Budget(0.0, 0.0, 0.0))
     causes = scene.causes(estimate)
     match_pm = float(np.hypot(estimate.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     answer = _answer(scene, settings, toe, estimate, float(np.hypot(match_pm, causes.total)))
