@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from companion.core.wing.beam import BeamMode, characteristic_roots
 from companion.units import GRAVITY_MPS2, Orientation
 
-SLOPE_FACTOR = 1.38
-"""Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765; derived)."""
 STATIC_BEND = 1.545
 """Tip deflection of a uniform cantilever under its own weight times omega^2 / g: (1.8751^4 = 12.362) / 8 (derived)."""
-_SLOPE_SPREAD = 0.05  # 1.33 under an even static load to 1.50 under a tip load (derived)
+_SLOPE_SPREAD = 0.05  # tip: 1.33 under an even static load to 1.50 under a tip load, 1.38 of the mode (derived)
 _STATIC_SPREAD = 0.3  # taper, and lift that is denser at the root (choice)
 _FREQUENCY_SPREAD = 0.1  # a tap test on the bench holds the fuselage, flight does not (choice)
 # chosen: the fuselage's mass lets an antisymmetric mode ring faster; wide, for wings differ
@@ -73,23 +74,47 @@ def default_antisymmetric_hz(frequency_hz: float) -> float:
 
 
 def bend_per_g_m(measured: Measured) -> float:
-    """Tip deflection that one further g adds: the fuselage hangs on the wing, whose own weight is borne where it is."""
-    return _own_weight_bend_m(measured) * (measured.mass_kg / measured.wing_mass_kg - 1.0)
+    """Deflection at the node that one further g adds."""
+    return _static_share(measured) * _tip_bend_per_g_m(measured)
 
 
 def trim_bend_m(measured: Measured) -> float:
+    """Deflection at the node in level flight from the wing as calibrated."""
+    return _static_share(measured) * tip_trim_bend_m(measured)
+
+
+def tip_trim_bend_m(measured: Measured) -> float:
     """Tip deflection in level flight from the wing as calibrated."""
-    return bend_per_g_m(measured) + (_own_weight_bend_m(measured) if measured.hanging else 0.0)
+    return _tip_bend_per_g_m(measured) + (_own_weight_bend_m(measured) if measured.hanging else 0.0)
 
 
 def trusted_to_m(measured: Measured) -> float:
     """Range at which the trim bend's sigma alone uses up the trusted share of the range, matches not counted."""
-    toe_sigma_rad = 2.0 * SLOPE_FACTOR / measured.semispan_m * _relative_sigma(measured) * trim_bend_m(measured)
+    slope_radpm = _slope_times_semispan(measured) / measured.semispan_m
+    toe_sigma_rad = 2.0 * slope_radpm * _relative_sigma(measured) * trim_bend_m(measured)
     return _TRUST * 2.0 * measured.station_y_m / toe_sigma_rad
+
+
+def _tip_bend_per_g_m(measured: Measured) -> float:
+    """Tip deflection for one further g: the fuselage hangs on the wing, whose own weight is borne where it is."""
+    return _own_weight_bend_m(measured) * (measured.mass_kg / measured.wing_mass_kg - 1.0)
 
 
 def _own_weight_bend_m(measured: Measured) -> float:
     return STATIC_BEND * GRAVITY_MPS2 / (math.tau * measured.frequency_hz) ** 2
+
+
+def _static_share(measured: Measured) -> float:
+    """Deflection of an evenly loaded uniform cantilever at the node over that at its tip."""
+    eta = measured.station_y_m / measured.semispan_m
+    return (eta**4 - 4.0 * eta**3 + 6.0 * eta**2) / 3.0
+
+
+def _slope_times_semispan(measured: Measured) -> float:
+    """Slope of a uniform cantilever's first mode at the node over its deflection there, times its length."""
+    mode = BeamMode(float(characteristic_roots(1, 0.0)[0]), 0.0, 1.0, 0.0, 0.0)
+    eta = np.array([measured.station_y_m / measured.semispan_m])
+    return float(mode.slope(eta)[0] / mode.shape(eta)[0])
 
 
 def _relative_sigma(measured: Measured) -> float:
@@ -119,7 +144,9 @@ orientation = {_ORIENTATION[m.looks]}  # of the range: 25 down, 0 forward
 
 def _wing(m: Measured) -> str:
     per_g, trim, spread = bend_per_g_m(m), trim_bend_m(m), _relative_sigma(m)
-    slope = SLOPE_FACTOR / m.semispan_m
+    factor = _slope_times_semispan(m)
+    slope = factor / m.semispan_m
+    eta = f"{m.station_y_m / m.semispan_m:.2f}"
     gust = _GUST_PER_G * per_g
     masses = f"{m.mass_kg:g} and {m.wing_mass_kg:g} kg"
     percent = f"{100 * spread:.0f} %: {100 * _STATIC_SPREAD:.0f} %"
@@ -130,6 +157,7 @@ def _wing(m: Measured) -> str:
 [wing]
 semispan_m = {m.semispan_m!r}
 # load over stiffness of a uniform beam: {STATIC_BEND} g / omega^2 (mass / wing mass - 1), {masses};
+# of it {_static_share(m):.3f} at {eta} semispan, where the node sits;
 # sigma {percent} for taper and the shape of the lift, and twice the frequency's
 bend_per_g_m = {_uncertain(per_g, spread * per_g)}
 # the same at 1 g, {droop}. The largest slow error of all:
@@ -139,7 +167,7 @@ trim_bend_m = {_uncertain(trim, spread * trim)}
 [wing.symmetric]
 frequency_hz = {_uncertain(m.frequency_hz, m.frequency_sigma_hz)}
 damping = {_uncertain(_DAMPING, _DAMPING_SIGMA)}  # structure 1 to 2 %, air the rest
-slope_factor_radpm = {_uncertain(slope, _SLOPE_SPREAD * slope)}  # {SLOPE_FACTOR} / semispan, a cantilever's first mode
+slope_factor_radpm = {_uncertain(slope, _SLOPE_SPREAD * slope)}  # {factor:.3g} / semispan: a cantilever at {eta} of it
 
 [wing.antisymmetric]
 frequency_hz = {_uncertain(m.antisymmetric_hz, _ANTISYMMETRIC_SPREAD * m.antisymmetric_hz)}

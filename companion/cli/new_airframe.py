@@ -16,6 +16,7 @@ from companion.calibration.airframe_draft import (
     default_antisymmetric_hz,
     default_frequency_sigma_hz,
     draft,
+    tip_trim_bend_m,
     trim_bend_m,
     trusted_to_m,
 )
@@ -174,10 +175,11 @@ def _check_together(measured: Measured) -> None:
             f"frequency_sigma_hz = {measured.frequency_sigma_hz:g} Hz is more than half of frequency_hz = "
             f"{measured.frequency_hz:g} Hz; tap the wing and count"
         )
-    if trim_bend_m(measured) > 0.3 * measured.semispan_m:
+    tip_m = tip_trim_bend_m(measured)
+    if tip_m > 0.3 * measured.semispan_m:
         raise ConfigError(
             f"frequency_hz = {measured.frequency_hz:g} Hz with mass_kg = {measured.mass_kg:g} kg would bend the tip by "
-            f"{trim_bend_m(measured):.2g} m in level flight, more than 30 % of semispan_m = {measured.semispan_m:g} m"
+            f"{tip_m:.2g} m in level flight, more than 30 % of semispan_m = {measured.semispan_m:g} m"
         )
 
 
@@ -241,5 +243,5 @@ def _next(measured: Measured, out: Path) -> str:
             ("python -m mission_scripts.calibrate_target --help", f"in a checkout of Spanwise: the trim bend; {limit}"),
         ]
     lines = [f"  {command}\n      {purpose}" for command, purpose in steps]
-    bends = f"by beam theory the tips bend {trim_mm:.1f} mm in level flight and {per_g_mm:.1f} mm for each further g"
+    bends = f"by beam theory the nodes rise {trim_mm:.1f} mm in level flight and {per_g_mm:.1f} mm for each further g"
     return "\n".join([f"wrote {out}: {bends}", "next:", *lines])

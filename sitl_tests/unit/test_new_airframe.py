@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -64,12 +65,36 @@ def test_the_bend_is_that_of_a_beam_by_its_differential_equation(tmp_path: Path)
     root = 1.8751040687
     per_mass = (2.0 * math.pi * 5.0) ** 2 / root**4  # EI / (mass per length x length^4)
     own_weight_m = 9.80665 / 8.0 / per_mass
-    wing = made(tmp_path, {"--wing-mass-kg": "2.0"}).wing
+    wing = made(tmp_path, {"--wing-mass-kg": "2.0", "--station-y-m": "1.0"}).wing
     assert wing.bend_per_g_m.value == pytest.approx(own_weight_m, rel=1e-3)
     assert wing.trim_bend_m.value == pytest.approx(2.0 * own_weight_m, rel=1e-3), "it hung when it was calibrated"
-    straight = made(tmp_path, {"--wing-mass-kg": "1.0"}, "--no-hanging", "--force").wing
+    straight = made(tmp_path, {"--wing-mass-kg": "1.0", "--station-y-m": "1.0"}, "--no-hanging", "--force").wing
     assert straight.trim_bend_m.value == straight.bend_per_g_m.value == pytest.approx(3.0 * own_weight_m, rel=1e-3)
     assert wing.symmetric.slope_factor_radpm.value == pytest.approx(1.3765, rel=0.01), "tip slope of that mode"
+
+
+@pytest.mark.parametrize("station", [0.3, 0.6, 0.8])
+def test_a_node_inboard_of_the_tip_has_the_slope_and_the_bends_of_its_station(station: float, tmp_path: Path) -> None:
+    """Mode shape cosh - cos - s (sinh - sin); static shape: the moment of an even load, integrated twice."""
+    root = 1.8751040687
+    x = root * station
+    s = (math.cosh(root) + math.cos(root)) / (math.sinh(root) + math.sin(root))
+    slope = root * (math.sinh(x) + math.sin(x) - s * (math.cosh(x) - math.cos(x)))
+    shape = math.cosh(x) - math.cos(x) - s * (math.sinh(x) - math.sin(x))
+    span = np.linspace(0.0, 1.0, 10001)
+    static = np.cumsum(np.cumsum(0.5 * (1.0 - span) ** 2))
+    tip_ratio = float(np.interp(station, span, static) / static[-1])
+    tip = made(tmp_path, {"--station-y-m": "1.0"}).wing
+    airframe = made(tmp_path, {"--station-y-m": str(station)}, "--force")
+    for mode in (airframe.wing.symmetric, airframe.wing.antisymmetric):
+        assert mode.slope_factor_radpm.value == pytest.approx(slope / shape, rel=1e-3)
+    for name in ("bend_per_g_m", "trim_bend_m"):
+        assert getattr(airframe.wing, name).value == pytest.approx(tip_ratio * getattr(tip, name).value, rel=2e-3)
+    gust_m = airframe.wing.gust.deflection_rms_m.value
+    assert gust_m == pytest.approx(tip_ratio * tip.gust.deflection_rms_m.value, rel=2e-3)
+    for camera, node in zip(airframe.camera_pair, (airframe.left, airframe.right), strict=True):
+        assert camera.position_m[1] == node.position_m[1], "at the node, whose slope and deflection are its own"
+        assert camera.slope_gain == camera.lift_gain == 1.0
 
 
 def test_what_the_supplied_airframes_believe_lies_within_two_sigma_of_the_draft(tmp_path: Path) -> None:
@@ -193,7 +218,11 @@ def test_at_a_terminal_it_asks_and_asks_again(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
-    [pytest.param({}, marks=pytest.mark.long), {"--frequency-hz": "9", "--semispan-m": "0.8", "--tip-axes": "z"}],
+    [
+        pytest.param({}, marks=pytest.mark.long),
+        pytest.param({"--station-y-m": "0.6"}, marks=pytest.mark.long),
+        {"--frequency-hz": "9", "--semispan-m": "0.8", "--tip-axes": "z"},
+    ],
 )
 def test_the_tracker_follows_a_wing_drawn_from_the_draft(
     changes: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
