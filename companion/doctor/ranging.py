@@ -34,8 +34,13 @@ def check_ranging(evidence: Evidence) -> Iterator[Finding]:
         return
     if evidence.px4:
         yield Finding("range", FindingLevel.NOTE, "PX4 takes DISTANCE_SENSOR as it comes; RNGFND1_* are ArduPilot's")
+        text = "EKF2_RNG_CTRL is 0: PX4 records our ranges, and its height does not use them"
+        yield from _switched_off(evidence, "EKF2_RNG_CTRL", text)
     else:
         yield from _rangefinder(evidence)
+        yield from _switched_off(
+            evidence, "RNGFND_LANDING", "RNGFND_LANDING is 0: ArduPlane records our ranges, and they steer no landing"
+        )
         yield from _proximity(evidence)
     yield from _other_senders(evidence)
 
@@ -62,6 +67,13 @@ def _rangefinder(evidence: Evidence) -> Iterator[Finding]:
             () if right else (Fix("RNGFND1_ORIENT", wanted),),
         )
     yield from _limits(evidence)
+
+
+def _switched_off(evidence: Evidence, name: str, text: str) -> Iterator[Finding]:
+    """A warning where the use of ranges to the ground is off; a vehicle without that parameter has no such switch."""
+    value = evidence.parameter(name)
+    if evidence.airframe.looks_down and value is not None and value[1] == 0.0:
+        yield Finding("range", FindingLevel.NOTE, text, (Fix(name, 1),))
 
 
 def _limits(evidence: Evidence) -> Iterator[Finding]:

@@ -71,6 +71,8 @@ _ROWS = (
     VehicleParameter("RNGFND1_MAX", "m", 0, _LONGEST_RANGE_M, "longest range used"),
     VehicleParameter("RNGFND1_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "shortest used, before ArduPilot 4.7"),
     VehicleParameter("RNGFND1_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "longest used, before ArduPilot 4.7"),
+    VehicleParameter("RNGFND_LANDING", "", 0, _TYPES, "whether ArduPlane lands by our ranges"),
+    VehicleParameter("EKF2_RNG_CTRL", "", 0, 2, "whether PX4's height takes our ranges"),
     *_rival(2),
     *_rival(3),
     *_rival(4),

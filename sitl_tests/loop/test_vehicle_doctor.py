@@ -133,6 +133,7 @@ def test_a_vehicle_that_is_set_up_well_has_nothing_to_fix(flight: Flight) -> Non
         ({"INS_GYRO_FILTER": 8.0}, "set INS_GYRO_FILTER 30"),
         ({"SCHED_LOOP_RATE": 50.0}, "set SCHED_LOOP_RATE 400, reboot"),
         ({"RNGFND2_TYPE": 20.0, "RNGFND2_ORIENT": 25.0}, "set RNGFND2_TYPE 0, reboot"),
+        ({"RNGFND4_TYPE": 20.0, "RNGFND4_ORIENT": 25.0}, "set RNGFND4_TYPE 0, reboot"),
     ],
 )
 def test_each_wrong_parameter_is_found_and_its_fix_named(
@@ -141,6 +142,12 @@ def test_each_wrong_parameter_is_found_and_its_fix_named(
     findings = Ward(flight, parameters=parameters).listen()
     assert fix in fixes(findings)
     assert len(wrong(findings)) in (1, 2) if "SCHED_LOOP_RATE" in parameters else len(wrong(findings)) == 1
+
+
+def test_a_landing_that_takes_no_ranges_is_a_warning_with_its_fix(flight: Flight) -> None:
+    findings = Ward(flight, parameters={"RNGFND_LANDING": 0.0}).listen()
+    assert fixes(findings) == {"set RNGFND_LANDING 1"}
+    assert wrong(findings) == {}
 
 
 def test_agreed_fixes_are_set_and_the_rest_is_left(flight: Flight) -> None:
@@ -336,6 +343,21 @@ def test_copters_need_proximity_and_planes_have_none() -> None:
     said = texts(plane, doctor.check_ranging)
     assert "PRX1_TYPE" not in said
     assert "no proximity library" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "autopilot", "used"),
+    [("RNGFND_LANDING", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1.0), ("EKF2_RNG_CTRL", mavlink.MAV_AUTOPILOT_PX4, 2.0)],
+)
+def test_ranges_to_the_ground_that_the_autopilot_does_not_use_are_told(name: str, autopilot: int, used: float) -> None:
+    def said(airframe: str, parameters: dict[str, float]) -> str:
+        beats = {(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, autopilot, 10)}
+        evidence = evidence_of(airframe=load_airframe(airframe), beats=beats, parameters=parameters)
+        return texts(evidence, doctor.check_ranging)
+
+    assert f"set {name} 1" in said("nadir-2m", {name: 0.0})
+    for airframe, parameters in (("nadir-2m", {name: used}), ("nadir-2m", {}), ("forward-2m", {name: 0.0})):
+        assert name not in said(airframe, parameters)
 
 
 def pictures(left: int, right: int = 0) -> dict[int, set[int]]:
