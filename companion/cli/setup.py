@@ -15,7 +15,7 @@ from companion.errors import TO_FIX, SetupError, SpanwiseError
 from companion.params.files import load_airframe
 from companion.setup import manifest
 from companion.setup.boards import BOARDS, CompanionBoard, board_of
-from companion.setup.checks import checks
+from companion.setup.checks import SystemCheck, airframe_check, checks
 from companion.setup.choices import Choices, choices_for
 from companion.setup.install import install, recorded, undo, undone
 from companion.setup.manifest import Manifest
@@ -77,6 +77,7 @@ def execute(options: argparse.Namespace) -> int:
     )
     is_fit = _show_checks(tree, board, program)
     choices = _answers(tree, board, previous, options)
+    is_fit &= _show_results([airframe_check(tree, choices.airframe)])
     changes = planned(tree, board, choices, program, previous)
     _show(changes, contents=options.dry_run)
     if options.dry_run:
@@ -115,7 +116,10 @@ def _this_program() -> str:
 
 
 def _show_checks(tree: Tree, board: CompanionBoard, program: str) -> bool:
-    results = checks(tree, board, program, os.environ.get("SUDO_USER", "") if _is_here(tree) else "")
+    return _show_results(checks(tree, board, program, os.environ.get("SUDO_USER", "") if _is_here(tree) else ""))
+
+
+def _show_results(results: list[SystemCheck]) -> bool:
     for check in results:
         print(f"  {'ok' if check.passes else 'mend':8} {check.name:8} {check.figure}")
         if check.remedy:

@@ -38,6 +38,21 @@ def checks(tree: Tree, board: CompanionBoard, program: str, person: str) -> list
     return [_board(tree, board), _python(), _disk(tree), _memory(tree), _groups(tree, person), _program(tree, program)]
 
 
+def airframe_check(tree: Tree, airframe: str) -> SystemCheck:
+    """Whether the service's own user can read the airframe; a file of it may be made later."""
+    if not Path(airframe).suffix:
+        return SystemCheck("airframe", f"{airframe}, one that is supplied")
+    path = tree.root / airframe.lstrip("/")
+    inside = [*reversed(path.parents), *reversed(path.resolve().parents), path]
+    for place in (place for place in inside if place.is_relative_to(tree.root)):
+        if not place.exists():
+            return SystemCheck("airframe", f"{airframe}: not there yet")
+        if not (_is_open(place) if place.is_dir() else place.stat().st_mode & stat.S_IROTH):
+            remedy = "put it where every user may read, as /etc/spanwise/wing.toml, and name that with --airframe"
+            return SystemCheck("airframe", f"{airframe}: {place} is closed to other users", remedy)
+    return SystemCheck("airframe", airframe)
+
+
 def groups_there(tree: Tree) -> list[str]:
     """Those of :data:`GROUPS` that the tree has."""
     return [name for name in GROUPS if name in _groups_of(tree)]

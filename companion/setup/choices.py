@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from companion.errors import LinkError, SetupError
@@ -14,6 +15,8 @@ from companion.setup.tree import Tree
 
 _NODE_BAUD = 921600  # carries 1 kHz of a node (tools/wing_node; choice)
 _ROUTED = "udpin:127.0.0.1:14550"
+# convention: Raspberry Pi OS; it is another UART before the restart of a set-up than after
+_ALIAS = "/dev/serial0"
 _WORD = re.compile(r"[A-Za-z0-9_./:,+@=-]*")
 _ROUTERS = ("usr/bin/mavlink-routerd", "usr/local/bin/mavlink-routerd")
 
@@ -51,7 +54,8 @@ def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], ove
     Raises
     ------
     SetupError
-        An answer that no file can hold: a blank, a quote, a link that is not one.
+        An answer that no file can hold: a blank, a quote, a link that is not one. And one that the service could not
+        use: an airframe file that is not absolute, a Raspberry Pi's UART by its alias.
     """
     nodes = tuple(f"/dev/spanwise-{side},{_NODE_BAUD}" for side in ("left", "right"))
     fitting = Choices(
@@ -65,6 +69,8 @@ def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], ove
         said["links"] = tuple(said["links"])
     choices = dataclasses.replace(fitting, **said)
     _check(choices)
+    if board.boot_lines and choices.takes(_ALIAS):
+        raise SetupError(f"links: {_ALIAS} is not always the UART of pins 8 and 10; give {board.uart}")
     return choices
 
 
@@ -77,6 +83,10 @@ def _check(choices: Choices) -> None:
         raise SetupError("links: give one at least")
     if not choices.airframe:
         raise SetupError("airframe: give a name, or the path of a file")
+    if Path(choices.airframe).suffix and not Path(choices.airframe).is_absolute():
+        raise SetupError(
+            f"airframe '{choices.airframe}': the service starts in /; give the whole path, as /etc/spanwise/wing.toml"
+        )
     try:
         kinds = [parse_link(link).kind for link in choices.links]
     except LinkError as error:

@@ -286,11 +286,24 @@ def test_what_is_to_be_mended_is_told_with_its_figure(
     assert said.count("  mend ") == 1
 
 
+@pytest.mark.parametrize(("home", "file", "code"), [(0o700, 0o644, 4), (0o755, 0o600, 4), (0o755, 0o644, 0)])
+def test_an_airframe_that_the_service_s_user_cannot_read_is_to_be_mended(
+    pi5: Path, home: int, file: int, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(pi5, "home/pi/wing.toml", "", file)
+    path.parent.chmod(home)
+    assert setup(pi5, "--airframe", "/home/pi/wing.toml") == code
+    closed = path if file == 0o600 else path.parent
+    assert (f"/home/pi/wing.toml: {closed} is closed to other users" in capsys.readouterr().out) is (code == 4)
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--link", "serial"], "'serial' is not a connection"),
         (["--airframe", "my wing"], "airframe 'my wing': letters"),
+        (["--airframe", "my-wing.toml"], "give the whole path, as /etc/spanwise/wing.toml"),
+        (["--link", "/dev/serial0,921600"], "is not always the UART of pins 8 and 10; give /dev/ttyAMA0"),
         (["--airframe", 'a";reboot;"'], "letters, digits"),
         (["--cameras", "oak"], "cameras 'oak': name kind and place"),
         (["--trigger", "bell"], "--trigger bell: not a trigger"),
