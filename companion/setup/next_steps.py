@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from companion.setup.choices import Choices
 
 _AIRFRAME = "my-wing.toml"
+_CALIBRATED = "out/calibrate"
 _MISSION_LINK = "udpin:0.0.0.0:14540"
 
 
@@ -20,6 +21,7 @@ class NextStep:
 
 def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]:
     """In their order; ``here``: the tree is this machine's; ``restart``: files of the boot partition were changed."""
+    calibrated = f"{_CALIBRATED}/airframe.toml"  # as calibrate writes it, and identify once more
     links = " ".join(f"--connect {link}" for link in choices.listening)
     cameras, trigger = choices.cameras or "oak:CAM_B,CAM_C", choices.trigger or "serial:/dev/spanwise-trigger"
     reload = "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo udevadm trigger"
@@ -44,14 +46,14 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
         ),
         NextStep(
             "slopes and twists, where a vibration test was made: modes with their spread",
-            f"spanwise identify gvt gvt/ --layout layout.toml --airframe {_AIRFRAME}",
+            f"spanwise identify gvt gvt/ --layout layout.toml --airframe {calibrated} --out {_CALIBRATED}",
         ),
     ]
     if "/" in choices.airframe:
-        steps.append(NextStep("where the service finds it", f"sudo install -D -m 644 {_AIRFRAME} {choices.airframe}"))
+        steps.append(NextStep("where the service finds it", f"sudo install -D -m 644 {calibrated} {choices.airframe}"))
     return [
         *steps,
-        NextStep("first range: published, with its sigma", f"spanwise run {links} --airframe {_AIRFRAME} {eyes}"),
+        NextStep("first range: published, with its sigma", f"spanwise run {links} --airframe {calibrated} {eyes}"),
         NextStep(
             "the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"
         ),

@@ -14,6 +14,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.cli.steps import setup_wing
+from companion.errors import ConfigError
 from companion.records import Station
 from companion.sim.rehearsal.bench import Miswiring
 from sitl_tests.ports import free_port
@@ -110,6 +111,24 @@ def test_the_first_range_of_the_simulated_aircraft_passes(
     assert 2.0 < range_m < 150.0
     assert 0.0 < sigma_m < 0.2 * range_m
     assert "all of range pass" in said
+
+
+@pytest.mark.parametrize("calibrates", [True, False])
+def test_the_first_range_is_that_of_the_calibrated_airframe(
+    calibrates: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown: list[str] = []
+
+    def service_config(options: Any) -> Any:
+        flown.append(options.airframe)
+        raise ConfigError("far enough")
+
+    monkeypatch.setattr(setup_wing.calibrate, "execute", lambda _: 0)
+    monkeypatch.setattr(setup_wing.run, "service_config", service_config)
+    steps = ("--step", "range", *(("--step", "stereo") if calibrates else ()))
+    eyes = ("--cameras", "oak:CAM_B,CAM_C", "--square-m", "0.03", "--out", str(tmp_path))
+    assert main(["setup", "wing", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", *steps, *eyes]) == 1
+    assert flown == [str(tmp_path / "stereo" / "airframe.toml") if calibrates else "nadir-2m"]
 
 
 def until(true: Callable[[], bool], limit_s: float) -> None:

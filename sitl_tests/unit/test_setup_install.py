@@ -451,3 +451,17 @@ def test_every_next_step_is_a_command_that_the_program_takes(
         words = shlex.split(command)[1:]
         assert build_parser(words[0]).parse_args(words).command == words[0]
     assert any(line.startswith("python -m mission_scripts.calibrate_target") for line in lines)
+
+
+def test_what_is_installed_and_flown_is_the_calibrated_airframe(pi5: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    setup(pi5)
+    lines = [line.strip() for line in capsys.readouterr().out.split("next:")[1].splitlines()]
+    after = lines[next(n for n, line in enumerate(lines) if line.startswith("spanwise calibrate stereo")) + 1 :]
+    read = build_parser("calibrate").parse_args(["calibrate", "stereo", "--square-m=1", "--airframe=a"])
+    calibrated = str(read.out / "airframe.toml")
+    assert f"sudo install -D -m 644 {calibrated} /etc/spanwise/wing.toml" in after
+    words = {line.split()[1]: shlex.split(line)[1:] for line in after if line.startswith("spanwise ")}
+    for name in ("identify", "run"):
+        assert build_parser(name).parse_args(words[name]).airframe == calibrated
+    assert build_parser("identify").parse_args(words["identify"]).out == read.out, "the modes go into the same file"
+    assert not any("my-wing.toml" in line for line in after if "mission_scripts" not in line)

@@ -60,10 +60,12 @@ def execute(options: argparse.Namespace) -> int:
         if not _can(name, options):
             raise ConfigError(f"--step {name}: needs {'--cameras and --square-m' if name == 'stereo' else '--cameras'}")
     results = _on_the_bench([name for name in steps if name in BENCH_STEPS], airframe, options)
+    flown = options.airframe
     if "stereo" in steps:
         results += _stereo(options)
+        flown = str(_calibrated(options))
     if "range" in steps:
-        results += _first_range(options)
+        results += _first_range(options, flown)
     return _summary(results, steps)
 
 
@@ -129,25 +131,29 @@ def _script(steps: list[str], listened_s: float) -> tuple[list[Handling], float]
     return script, at_s + 5.0
 
 
+def _calibrated(options: argparse.Namespace) -> Path:
+    """Airframe file that the stereo step writes."""
+    folder: Path = options.out / "stereo"
+    return folder / "airframe.toml"
+
+
 def _stereo(options: argparse.Namespace) -> list[GuideStep]:
     """The calibration from a board, as ``spanwise calibrate stereo`` does it."""
     _ask("hold the board before both cameras, and follow what is said")
     words = ["stereo", "--cameras", options.cameras, "--square-m", f"{options.square_m:g}"]
-    words += ["--airframe", options.airframe, "--out", str(options.out / "stereo")]
+    words += ["--airframe", options.airframe, "--out", str(_calibrated(options).parent)]
     parser = argparse.ArgumentParser(prog="spanwise calibrate")
     calibrate.add_arguments(parser)
     calibrate.execute(parser.parse_args(words))
-    step = GuideStep(
-        "stereo", f"calibrated; {options.out / 'stereo' / 'airframe.toml'} is the airframe file to go on with"
-    )
+    step = GuideStep("stereo", f"calibrated; {_calibrated(options)} is the airframe file to go on with")
     _show(step)
     return [step]
 
 
-def _first_range(options: argparse.Namespace) -> list[GuideStep]:
-    """The service itself, until it publishes a range."""
+def _first_range(options: argparse.Namespace, airframe: str) -> list[GuideStep]:
+    """The service itself with this airframe file, until it publishes a range."""
     words = [word for link in options.connect for word in ("--connect", link)]
-    words += ["--airframe", options.airframe, "--cameras", options.cameras, "--trigger", options.trigger]
+    words += ["--airframe", airframe, "--cameras", options.cameras, "--trigger", options.trigger]
     parser = argparse.ArgumentParser(prog="spanwise run")
     run.add_arguments(parser)
     config = run.service_config(parser.parse_args([*words, "--plain"]))
