@@ -73,8 +73,9 @@ class Evidence:
     ``live`` is False for a log, where what cannot be seen is unknown rather than wrong. ``beats`` goes by (system,
     component); ``parameters`` are the autopilot's, as far as it sent them. ``rate_hz`` and ``axes`` are samples per
     second as delivered, and the axes that really come. ``range_senders`` counts the DISTANCE_SENSOR messages of others,
-    by (system, component, orientation); ``serial_baud`` has the links that have a baud rate. ``feedback`` has, by
-    camera, the numbers of the pictures in CAMERA_FEEDBACK; with two cameras ArduPilot sends each more than once.
+    by (system, component, orientation); ``serial_baud`` has the links that have a baud rate, ``link_components`` the
+    vehicle's components that were heard on each. ``feedback`` has, by camera, the numbers of the pictures in
+    CAMERA_FEEDBACK; with two cameras ArduPilot sends each more than once.
 
     Of a recording of ours, ``shots`` were fired, ``pairs`` of images matched, ``unpaired`` images had no partner and
     ``lost`` ones never came; ``plan_outcomes`` counts the end of every plan to fire. ``node_losses`` are the wing
@@ -107,6 +108,7 @@ class Evidence:
     crc_errors: int = 0
     skipped_bytes: int = 0
     serial_baud: dict[str, int] = field(default_factory=dict)
+    link_components: dict[str, set[int]] = field(default_factory=dict)
     node_losses: dict[tuple[int, str], int] = field(default_factory=dict)
     clipped: dict[Station, SampleCounts] = field(default_factory=dict)
     autopilot_clips: list[int] = field(default_factory=list)

@@ -64,6 +64,7 @@ class Examination:
         self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=WANTED)
         self._evidence = Evidence(airframe, settings, live=True, seconds=seconds)
         self._links = list(links)
+        self._spelling = {link.number: link.spelling for link in links}
         self._clock = clock
         self._clocks = ClockBank()
         self._began_host_ns = clock.now_ns()
@@ -124,6 +125,8 @@ class Examination:
     def _hear(self, heard: Heard) -> None:
         if heard.name == "COMMAND_ACK" and heard.message.target_component == self._evidence.settings.component_id:
             self._evidence.acknowledged += 1
+        if heard.system == self.pilot.decoder.system_id:
+            self._evidence.link_components.setdefault(self._spelling[heard.link], set()).add(heard.component)
         note(self._evidence, heard, self.pilot.decoder.system_id)
 
 

@@ -98,11 +98,18 @@ def check_filters(evidence: Evidence) -> Iterator[Finding]:
             yield Finding("filter", FindingLevel.FIX, text + ": raise it", (Fix(name, max(wanted_hz, 20.0)),))
         else:
             yield Finding("filter", FindingLevel.OK, text + f", which is undone ({axis})")
-    notch = evidence.parameter("INS_HNTCH_ENABLE")
-    centre = evidence.parameter("INS_HNTCH_FREQ")
-    if notch is not None and notch[1] and centre is not None:
+    for notch in ("HNTCH", "HNTC2"):
+        yield from _notch(evidence, notch)
+
+
+def _notch(evidence: Evidence, notch: str) -> Iterator[Finding]:
+    """A finding on one of the autopilot's two gyro notches, where it is on."""
+    enable, centre = evidence.parameter(f"INS_{notch}_ENABLE"), evidence.parameter(f"INS_{notch}_FREQ")
+    if enable is not None and enable[1] and centre is not None:
         near = centre[1] < 2.0 * evidence.highest_hz
-        text = f"gyro notch at {centre[1]:g} Hz" + (" sits on the wing's modes: raise INS_HNTCH_FREQ" if near else "")
+        text = f"gyro notch at {centre[1]:g} Hz" + (
+            f" sits on the wing's modes: raise INS_{notch}_FREQ" if near else ""
+        )
         yield Finding("filter", FindingLevel.FIX if near else FindingLevel.OK, text)
 
 

@@ -77,13 +77,18 @@ def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
 
 
 def _lines(evidence: Evidence) -> Iterator[Finding]:
-    """Serial lines against what one node's stream needs."""
-    streams = [evidence.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
-    needed = max(
-        (_needed_baud(sensor) for sensor in streams if sensor.source.component != AUTOPILOT_COMPONENT), default=0
-    )
-    for link, baud in evidence.serial_baud.items() if needed else ():
-        text = f"{link}: a node's stream needs {needed:.0f} baud of {baud}"
+    """Serial lines on which nodes were heard, against what the streams of these need together."""
+    sensors = [evidence.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
+    # stations that one stream carries are one entry
+    streams = {(sensor.source.message, sensor.source.component, sensor.source.instance): sensor for sensor in sensors}
+    for link, baud in evidence.serial_baud.items():
+        nodes = evidence.link_components.get(link, set()) - {AUTOPILOT_COMPONENT}
+        behind = [sensor for sensor in streams.values() if sensor.source.component in nodes]
+        if not behind:
+            continue
+        needed = sum(map(_needed_baud, behind))
+        streams_need = "a node's stream needs" if len(behind) == 1 else "the streams of two nodes need"
+        text = f"{link}: {streams_need} {needed:.0f} baud of {baud}"
         if baud < needed:
             yield Finding("wing", FindingLevel.FIX, text + ": raise the baud rate, or lower the node's rate")
         else:
@@ -106,7 +111,11 @@ def _bandwidth(evidence: Evidence, side: Station) -> str:
     """Bit rate that the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
     sensor = evidence.airframe.sensor(side)
     needed = _needed_baud(sensor)
-    small = {link: baud for link, baud in evidence.serial_baud.items() if baud < needed}
+    component = sensor.source.component
+    heard = [link for link, components in evidence.link_components.items() if component in components]
+    small = {
+        link: baud for link, baud in evidence.serial_baud.items() if baud < needed and (link in heard or not heard)
+    }
     if not small:
         return ""
     link, baud = next(iter(small.items()))

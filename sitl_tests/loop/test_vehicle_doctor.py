@@ -293,9 +293,40 @@ def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None
 
 def test_a_serial_line_is_held_against_a_nodes_stream_before_it_is_slow() -> None:
     full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
-    for baud, level in ((921_600, "ok"), (57_600, "FIX")):
-        said = texts(evidence_of(axes=full, rate_hz=rates, serial_baud={"/dev/ttyS1": baud}), doctor.check_nodes)
-        assert f"{level} /dev/ttyS1: a node's stream needs 750000 baud of {baud}" in said
+    for baud, components, expected in (
+        (921_600, {200}, "ok /dev/ttyS1: a node's stream needs 750000 baud of 921600"),
+        (57_600, {200}, "FIX /dev/ttyS1: a node's stream needs 750000 baud of 57600"),
+        (921_600, {1, 200, 201}, "FIX /dev/ttyS1: the streams of two nodes need 1500000 baud of 921600"),
+        (1_500_000, {200, 201}, "ok /dev/ttyS1: the streams of two nodes need 1500000 baud"),
+        (460_800, {1}, ""),
+    ):
+        lines = {"serial_baud": {"/dev/ttyS1": baud}, "link_components": {"/dev/ttyS1": components}}
+        said = texts(evidence_of(axes=full, rate_hz=rates, **lines), doctor.check_nodes)
+        assert expected in said
+        assert ("/dev/ttyS1" in said) is bool(expected), "a line with the autopilot alone carries no node's stream"
+
+
+def test_the_line_that_slows_a_node_is_one_on_which_it_was_heard() -> None:
+    rates = {Station.LEFT: 400.0, Station.RIGHT: 1000.0}
+    lines = {"serial_baud": {"/dev/ttyS0": 460_800, "/dev/ttyS1": 57_600}, "link_components": {"/dev/ttyS1": {200}}}
+    full = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL)
+    said = texts(evidence_of(axes=full, rate_hz=rates, **lines), doctor.check_nodes)
+    assert "not 1000: /dev/ttyS1 has 57600 baud" in said
+
+
+def test_components_are_known_by_the_link_on_which_they_were_heard(flight: Flight) -> None:
+    ward = Ward(flight)
+    ward.listen()
+    assert ward.examination.evidence().link_components == {"memory": {1, 200, 201}}
+
+
+@pytest.mark.parametrize("notch", ["HNTCH", "HNTC2"])
+def test_a_gyro_notch_on_the_modes_is_named(notch: str) -> None:
+    for centre_hz, level in ((10.0, "FIX"), (80.0, "ok")):
+        parameters = {f"INS_{notch}_ENABLE": 1.0, f"INS_{notch}_FREQ": centre_hz}
+        said = texts(evidence_of(parameters=parameters), doctor.check_filters)
+        assert f"{level} gyro notch at {centre_hz:g} Hz" in said
+        assert (f"raise INS_{notch}_FREQ" in said) is (level == "FIX")
 
 
 def test_what_a_node_says_that_it_lost_is_told_with_the_cause() -> None:
