@@ -25,7 +25,7 @@ from mission_scripts.common.vehicle import NotAccepted
 from mission_scripts.common.watch import Range
 
 _OUT_M = 400.0
-_BELOW_M = 8.0
+_BELOW_M, _SINKS_M = 8.0, 20.0  # chosen: floor below the decision height, below the ground where it lands
 _CLIMB_MPS, _CLIMBING_S = 0.5, 10.0
 _ON_GROUND_M = 3.0
 
@@ -40,7 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--height", type=float, default=80.0, metavar="M", help="where the descent begins")
     parser.add_argument("--gate", type=float, default=55.0, metavar="M", help="below it the range must be good")
     parser.add_argument("--decision", type=float, default=20.0, metavar="M", help="low pass, or go-around height")
-    parser.add_argument("--ground", type=float, default=0.0, metavar="M", help="height of the ground above home")
+    parser.add_argument(
+        "--ground", type=float, default=0.0, metavar="M",
+        help="height of the ground above home; the other heights of the approach are above this ground",
+    )  # fmt: skip
     parser.add_argument("--terrain", action="store_true", help="expect TERRAIN_REPORT's height instead of home's")
     parser.add_argument("--land", action="store_true", help="land after the decision height")
     parser.add_argument("--stale", type=float, default=base.stale_s, metavar="S", help="silence that ends it")
@@ -50,8 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--apart", type=float, default=base.apart_m, metavar="M", help="from what is expected, plus 5 %%"
     )
     options = parser.parse_args(arguments)
-    if not 10.0 <= options.decision < options.gate < options.height < options.ceiling:
-        parser.error("heights must be 10 m <= --decision < --gate < --height < --ceiling")
+    if not 10.0 <= options.decision < options.gate < options.height:
+        parser.error("heights must be 10 m <= --decision < --gate < --height")
+    if not options.floor < options.ground + options.height < options.ceiling:
+        parser.error("--ground plus --height must lie between --floor and --ceiling, which are above home")
     if not 2.0 <= options.slope <= 10.0:
         parser.error("--slope between 2 and 10 degrees")
     return run(options, approach)
@@ -65,7 +70,7 @@ def approach(flight: Flight) -> Exit:
     flight.be_airborne()
     lander = Lander(flight)
     flight.vehicle.upload(lander.route)
-    flight.guard.floor_m = -20.0 if flight.options.land else flight.options.decision - _BELOW_M
+    flight.guard.floor_m = lander.floor_m
     flight.begin()
     try:
         return lander.fly()
@@ -79,7 +84,10 @@ def approach(flight: Flight) -> Exit:
 
 
 class Lander:
-    """The approach: its route, its monitor, and the way out; ``committed`` once it is on the ground or just above."""
+    """The approach: its route, its monitor, and the way out; ``committed`` once it is on the ground or just above.
+
+    The options' heights are above the ground of the approach; the route's and the floor's are above home.
+    """
 
     def __init__(self, flight: Flight) -> None:
         options = flight.options
@@ -87,13 +95,15 @@ class Lander:
         self.route = Route()
         aim = options.aim or flight.watch.place
         bearing = flight.watch.heading_deg if options.bearing is None else options.bearing
-        low_m = 0.0 if options.land else options.decision
-        run_m = (options.height - low_m) / math.tan(math.radians(options.slope))
-        self.route.add(CLIMB_TO, aim.toward(bearing, -run_m - 150.0), options.height, 1.0)
-        self.route.add(WAYPOINT, aim.toward(bearing, -run_m), options.height)
+        high_m = options.ground + options.height
+        low_m = options.ground + (0.0 if options.land else options.decision)
+        self.floor_m = low_m - (_SINKS_M if options.land else _BELOW_M)
+        run_m = (high_m - low_m) / math.tan(math.radians(options.slope))
+        self.route.add(CLIMB_TO, aim.toward(bearing, -run_m - 150.0), high_m, 1.0)
+        self.route.add(WAYPOINT, aim.toward(bearing, -run_m), high_m)
         self._final = self.route.add(LAND if options.land else WAYPOINT, aim, low_m)
-        self._out = self.route.add(WAYPOINT, aim.toward(bearing, _OUT_M), options.height)
-        self.route.add(LOITER, aim.toward(bearing, _OUT_M), options.height)
+        self._out = self.route.add(WAYPOINT, aim.toward(bearing, _OUT_M), high_m)
+        self.route.add(LOITER, aim.toward(bearing, _OUT_M), high_m)
         tolerance = Tolerance(options.stale, options.blind, options.jump, options.apart)
         self._monitor = RangeMonitor(self._expected_m, tolerance)
         self._from_s = time.monotonic()
@@ -158,7 +168,8 @@ class Lander:
             flight.vehicle.fly_item(self._out)
             flight.wait("climb", lambda: flight.watch.climb_mps > _CLIMB_MPS, _CLIMBING_S)
             flight.say(f"climbing at {flight.watch.climb_mps:.1f} m/s")
-            flight.wait("climb-out", lambda: flight.watch.height_m > flight.options.gate, 60.0)
+            gate_m = flight.options.ground + flight.options.gate
+            flight.wait("climb-out", lambda: flight.watch.height_m > gate_m, 60.0)
         except (Aborted, NotAccepted) as error:
             raise Aborted(f"the go-around failed: {error}", Response.RETURN) from error
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from mission_scripts import landing_approach
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.guard import Guard, Limits
 from mission_scripts.common.legs import back_and_forth
@@ -281,6 +282,40 @@ def test_what_the_pilot_took_while_a_mode_was_changed_is_left_alone() -> None:
     flight.guard.mode, flight.guard.changing = None, (10, 15)
     assert make_safe(flight, Response.HOLD, Exit.ABORTED) is Exit.HANDS_OFF
     assert orders == []
+
+
+def _lander(flight: Any, **options: Any) -> landing_approach.Lander:
+    flight.options = types.SimpleNamespace(**{
+        "aim": HERE, "bearing": 0.0, "slope": 5.0, "height": 80.0, "gate": 55.0, "decision": 20.0, "ground": 30.0,
+        "terrain": False, "land": False, "stale": 0.6, "blind": 1.5, "jump": 2.0, "apart": 3.0, **options,
+    })  # fmt: skip
+    return landing_approach.Lander(flight)
+
+
+def test_an_approach_is_flown_above_the_ground_and_not_above_home() -> None:
+    flight, _ = _engaged(flying())
+    low, land, level = (_lander(flight, **options) for options in ({}, {"land": True}, {"ground": 0.0}))
+    assert [item.z for item in low.route.items[1:]] == [110.0, 110.0, 50.0, 110.0, 110.0]
+    assert low.floor_m == 42.0
+    assert land.route.items[3].z == 30.0, "the field, 30 m above home"
+    assert land.floor_m == 10.0
+    assert low.route.places == level.route.places, "the same slope wherever the ground is"
+
+
+def test_a_go_around_ends_at_the_gate_above_the_ground() -> None:
+    flight, waits = _engaged(flying(height_m=60.0))[0], {}
+    lander = _lander(flight)
+    flight.wait = lambda what, until, timeout_s: waits.update({what: until})
+    flight.vehicle.fly_item = lambda item: None
+    lander.go_around("no range")
+    assert not waits["climb-out"](), "30 m above the ground, the gate is at 55 m"
+    heard(flight.watch, "GLOBAL_POSITION_INT", relative_alt=86_000)
+    assert waits["climb-out"]()
+
+
+def test_heights_of_an_approach_are_held_to_the_ceiling_with_the_ground_below_them() -> None:
+    with pytest.raises(SystemExit):
+        landing_approach.main(["--connect=udpin:127.0.0.1:1", "--ground=80", "--height=80"])
 
 
 def _broken(flight: Flight) -> Exit:
