@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from threading import Event
 from typing import TextIO
 
 from companion.params.airframe import Airframe
@@ -26,6 +27,9 @@ _SERVICE_S = 60.0
 _RANGES_S = 5.0
 _STREAM_S, _HOME_S = 6.0, 90.0
 _ONTO_S = 15.0
+_TAKE_OFF_S = 120.0
+_ROLLING_MPS = 5.0  # chosen: airspeed from which a take-off is under way
+_ABOVE_FLOOR = 1.1  # chosen: least height of a take-off over the floor, so that the circle there keeps off it
 # message ids (MAVLink common.xml)
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
 # ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD, SYS_STATUS, MISSION_CURRENT, HOME_POSITION
@@ -238,6 +242,12 @@ class Flight:
         height_m = self.options.take_off
         if height_m is None:
             raise Refused("the vehicle is not flying: take off first, or give --take-off HEIGHT")
+        limits = self.guard.limits
+        if not max(0.0, _ABOVE_FLOOR * limits.floor_m) < height_m < limits.ceiling_m:
+            raise Refused(
+                f"--take-off {height_m:g} must lie above {_ABOVE_FLOOR:g} times --floor {limits.floor_m:g} "
+                f"and below --ceiling {limits.ceiling_m:g}"
+            )
         floor_m, self.guard.floor_m = self.guard.floor_m, -10.0
         self.wait("pre-arm checks", lambda: self.watch.may_arm, _HOME_S, lambda: "not passed yet")
         here = self.watch.place
@@ -248,9 +258,29 @@ class Flight:
         self.engaged = True
         self.vehicle.arm()
         self.wait("armed", lambda: self.watch.armed, _MODE_S)
-        self.begin()
-        self.wait("take-off", lambda: self.watch.height_m > 0.9 * height_m, 120.0)
+        self._take_off(max(0.9 * height_m, 0.5 * (floor_m + height_m)))
         self.guard.floor_m = floor_m
+
+    def _take_off(self, until_m: float) -> None:
+        """Fly the take-off; who interrupts it while it is low gets the abort at its end: RTL there turns at once."""
+
+        def climbed() -> bool:
+            return self.watch.height_m > until_m
+
+        try:
+            self.begin()
+            self.wait("take-off", climbed, _TAKE_OFF_S)
+        except Aborted as error:
+            low = self.watch.height_m < self.guard.limits.floor_m
+            if error.code is not Exit.INTERRUPTED or not low or self.watch.airspeed_mps < _ROLLING_MPS:
+                raise
+            self.say(f"{error}: low as it is, the vehicle finishes its take-off first; RC takes it sooner")
+            caught, self.guard.interrupted = self.guard.interrupted, Event()  # a second signal changes nothing
+            try:
+                self.wait("take-off, then the abort", climbed, _TAKE_OFF_S)
+            finally:
+                self.guard.interrupted = caught
+            raise
 
     def change_mode(self, number: int, order: Callable[[], None]) -> None:
         """Give an order that changes the mode, and wait until the heartbeat shows it."""

@@ -30,8 +30,9 @@ def parser_for(name: str, text: str) -> argparse.ArgumentParser:
         help="after Ctrl-C and the like; lost link, battery, failsafe and floor always mean rtl",
     )  # fmt: skip
     parser.add_argument(
-        "--take-off", type=float, metavar="M", help="arm and climb to this height first (AUTO take-off)"
-    )
+        "--take-off", type=float, metavar="M",
+        help="arm and climb to this height first (AUTO take-off): above 1.1 times --floor, below --ceiling",
+    )  # fmt: skip
     return parser
 
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import types
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import pytest
@@ -16,19 +13,16 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from mission_scripts import landing_approach
 from mission_scripts.common.flight import Flight
-from mission_scripts.common.guard import Guard, Limits
 from mission_scripts.common.legs import back_and_forth
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Response
-from mission_scripts.common.places import Place, Route, parse_place
+from mission_scripts.common.places import Route, parse_place
 from mission_scripts.common.recording import Tap
 from mission_scripts.common.run import _fly, make_safe
 from mission_scripts.common.vehicle import LOITER, RTL
-from mission_scripts.common.watch import Range, Watch
-
-HERE = Place(47.0, 8.0)
+from mission_scripts.common.watch import Range
+from sitl_tests.unit.mission_cases import HERE, engaged, flying, guard, heard
 
 
 def a_range(at_s: float, distance_m: float, height_m: float, *, trusted: bool = True, sigma_m: float = 0.1) -> Range:
@@ -99,26 +93,6 @@ def test_an_uncertain_range_is_given_its_own_sigma() -> None:
 
 
 # ------------------------------------------------------------------------------------------ guard
-
-
-def heard(watch: Watch, name: str, component: int = 1, **fields: Any) -> None:
-    watch.take(types.SimpleNamespace(message_name=name, component_id=component, fields_json=json.dumps(fields)))
-
-
-def flying(height_m: float = 60.0, mode: int = 10, battery: int = 80, status: int = 4, base: int = 217) -> Watch:
-    watch = Watch(191, 25)
-    heard(watch, "HEARTBEAT", custom_mode=mode, base_mode=base, system_status=status, type=1, autopilot=3)
-    heard(
-        watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=round(height_m * 1000), time_boot_ms=0
-    )
-    heard(watch, "SYS_STATUS", battery_remaining=battery)
-    return watch
-
-
-def guard(watch: Watch, **limits: float) -> Guard:
-    watching = Guard(watch, Limits(**{"link_s": 60.0, **limits}), Event(), HERE)
-    watching.mode = 10
-    return watching
 
 
 def test_a_flight_in_order_passes() -> None:
@@ -271,70 +245,18 @@ def test_a_mode_that_nobody_ordered_is_someone_elses_while_the_mode_is_being_cha
 @pytest.mark.parametrize(("height_m", "mode"), [(60.0, LOITER), (4.0, RTL)])
 def test_below_the_floor_an_aircraft_that_was_commanded_returns(height_m: float, mode: int) -> None:
     """A circle at four metres may meet the ground."""
-    flight, orders = _engaged(flying(height_m=height_m))
+    flight, orders = engaged(flying(height_m=height_m))
     assert _fly(flight, _broken) is Exit.ABORTED
     assert orders == [mode]
     assert any("OSError" in sentence for sentence in flight.said), "whatever the mission raises, the vehicle is safe"
 
 
 def test_what_the_pilot_took_while_a_mode_was_changed_is_left_alone() -> None:
-    flight, orders = _engaged(flying(mode=0))
+    flight, orders = engaged(flying(mode=0))
     flight.guard.mode, flight.guard.changing = None, (10, 15)
     assert make_safe(flight, Response.HOLD, Exit.ABORTED) is Exit.HANDS_OFF
     assert orders == []
 
 
-def _lander(flight: Any, **options: Any) -> landing_approach.Lander:
-    flight.options = types.SimpleNamespace(**{
-        "aim": HERE, "bearing": 0.0, "slope": 5.0, "height": 80.0, "gate": 55.0, "decision": 20.0, "ground": 30.0,
-        "terrain": False, "land": False, "stale": 0.6, "blind": 1.5, "jump": 2.0, "apart": 3.0, **options,
-    })  # fmt: skip
-    return landing_approach.Lander(flight)
-
-
-def test_an_approach_is_flown_above_the_ground_and_not_above_home() -> None:
-    flight, _ = _engaged(flying())
-    low, land, level = (_lander(flight, **options) for options in ({}, {"land": True}, {"ground": 0.0}))
-    assert [item.z for item in low.route.items[1:]] == [110.0, 110.0, 50.0, 110.0, 110.0]
-    assert low.floor_m == 42.0
-    assert land.route.items[3].z == 30.0, "the field, 30 m above home"
-    assert land.floor_m == 10.0
-    assert low.route.places == level.route.places, "the same slope wherever the ground is"
-
-
-def test_a_go_around_ends_at_the_gate_above_the_ground() -> None:
-    flight, waits = _engaged(flying(height_m=60.0))[0], {}
-    lander = _lander(flight)
-    flight.wait = lambda what, until, timeout_s: waits.update({what: until})
-    flight.vehicle.fly_item = lambda item: None
-    lander.go_around("no range")
-    assert not waits["climb-out"](), "30 m above the ground, the gate is at 55 m"
-    heard(flight.watch, "GLOBAL_POSITION_INT", relative_alt=86_000)
-    assert waits["climb-out"]()
-
-
-def test_heights_of_an_approach_are_held_to_the_ceiling_with_the_ground_below_them() -> None:
-    with pytest.raises(SystemExit):
-        landing_approach.main(["--connect=udpin:127.0.0.1:1", "--ground=80", "--height=80"])
-
-
 def _broken(flight: Flight) -> Exit:
     raise OSError(28, "No space left on device")
-
-
-def _engaged(watch: Watch) -> tuple[Any, list[int]]:
-    """A flight that was commanded, whose vehicle obeys, and the modes that are ordered of it."""
-    orders: list[int] = []
-
-    def order(mode: int) -> None:
-        orders.append(mode)
-        heard(watch, "HEARTBEAT", custom_mode=mode, base_mode=217, system_status=4, type=1, autopilot=3)
-
-    said: list[str] = []
-    vehicle = types.SimpleNamespace(hold=lambda: order(LOITER), return_home=lambda: order(RTL))
-    options = types.SimpleNamespace(on_abort=Response.HOLD)
-    flight = types.SimpleNamespace(
-        engaged=True, watch=watch, guard=guard(watch), vehicle=vehicle, options=options, say=said.append, said=said,
-        hear=lambda: None, where=lambda: "here",
-    )  # fmt: skip
-    return flight, orders

@@ -1,0 +1,134 @@
+"""Take-off, ways and approach of the missions, without a link: what is refused, and how low they go."""
+
+from __future__ import annotations
+
+import types
+from typing import Any
+
+import pytest
+
+from mission_scripts import landing_approach
+from mission_scripts.common.flight import Flight
+from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
+from sitl_tests.unit.mission_cases import HERE, engaged, flying, guard, heard
+
+# ------------------------------------------------------------------------------------------ take-off
+
+
+@pytest.mark.parametrize("height_m", [-5.0, 15.0, 22.0, 150.0])
+def test_a_take_off_that_ends_outside_the_limits_is_refused(height_m: float) -> None:
+    """At 0.9 of a height below 1.1 floors the mission would abort itself."""
+    flight = _grounded(height_m)
+    with pytest.raises(Refused, match="--take-off"):
+        flight.be_airborne()
+    assert not flight.engaged
+
+
+def test_a_take_off_ends_above_the_floor() -> None:
+    flight, (_, last) = _taken_off(23.0)
+    assert not last(21.0)
+    assert last(21.6)
+    assert flight.guard.floor_m == 20.0
+
+
+@pytest.mark.parametrize(
+    ("height_m", "airspeed_mps", "finishes"), [(2.0, 15.0, True), (0.0, 0.0, False), (21.0, 15.0, False)]
+)
+def test_a_signal_in_a_low_take_off_aborts_it_at_its_end(height_m: float, airspeed_mps: float, finishes: bool) -> None:
+    waits: list[str] = []
+
+    def wait(what: str, until: Any, timeout_s: float, tell: Any = None) -> None:
+        waits.append(what)
+        if what == "take-off":
+            heard(flight.watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=round(1e3 * height_m))
+            heard(flight.watch, "VFR_HUD", airspeed=airspeed_mps)
+            flight.guard.interrupted.set()
+        flight.guard.check()
+
+    flight = _grounded(40.0, wait)
+    with pytest.raises(Aborted) as caught:
+        flight.be_airborne()
+    assert caught.value.code is Exit.INTERRUPTED
+    assert ("take-off, then the abort" in waits) is finishes
+    assert flight.guard.interrupted.is_set(), "the guard has its own signal back"
+
+
+def test_a_low_battery_does_not_wait_for_the_end_of_a_take_off() -> None:
+    waits: list[str] = []
+
+    def wait(what: str, until: Any, timeout_s: float, tell: Any = None) -> None:
+        waits.append(what)
+        if what == "take-off":
+            heard(flight.watch, "VFR_HUD", airspeed=15.0)
+            heard(flight.watch, "SYS_STATUS", battery_remaining=10)
+            flight.guard.check()
+
+    flight = _grounded(40.0, wait)
+    with pytest.raises(Aborted, match="battery") as caught:
+        flight.be_airborne()
+    assert caught.value.response is Response.RETURN
+    assert waits[-1] == "take-off"
+
+
+def _taken_off(height_m: float) -> tuple[Flight, list[Any]]:
+    """A flight that has taken off, and for each of its last two waits whether it ends at a height."""
+    ends: list[Any] = []
+
+    def wait(what: str, until: Any, timeout_s: float, tell: Any = None) -> None:
+        def at(above_m: float) -> bool:
+            heard(flight.watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=round(1e3 * above_m))
+            return bool(until())
+
+        ends.append(at)
+
+    flight = _grounded(height_m, wait)
+    flight.be_airborne()
+    return flight, ends[-2:]
+
+
+def _grounded(height_m: float, wait: Any = None) -> Flight:
+    """A flight that stands, and is to take off; what it waits for is the test's."""
+    watch = flying(height_m=0.0)
+    options: Any = types.SimpleNamespace(take_off=height_m)
+    vehicle: Any = types.SimpleNamespace(**dict.fromkeys(("upload", "start"), lambda _: None), arm=lambda: None)
+    nothing: Any = types.SimpleNamespace(say=lambda _: None)
+    flight = Flight(options, nothing, watch, vehicle, guard(watch), nothing)
+    flight.wait = wait  # type: ignore[method-assign]
+    return flight
+
+
+# ------------------------------------------------------------------------------------------ approach
+
+
+def _lander(flight: Any, **options: Any) -> landing_approach.Lander:
+    flight.options = types.SimpleNamespace(**{
+        "aim": HERE, "bearing": 0.0, "slope": 5.0, "height": 80.0, "gate": 55.0, "decision": 20.0, "ground": 30.0,
+        "terrain": False, "land": False, "stale": 0.6, "blind": 1.5, "jump": 2.0, "apart": 3.0, **options,
+    })  # fmt: skip
+    return landing_approach.Lander(flight)
+
+
+def test_an_approach_is_flown_above_the_ground_and_not_above_home() -> None:
+    flight, _ = engaged(flying())
+    low, land, level = (_lander(flight, **options) for options in ({}, {"land": True}, {"ground": 0.0}))
+    assert [item.z for item in low.route.items[1:]] == [110.0, 110.0, 50.0, 110.0, 110.0]
+    assert low.floor_m == 42.0
+    assert land.route.items[3].z == 30.0, "the field, 30 m above home"
+    assert land.floor_m == 10.0
+    assert low.route.places == level.route.places, "the same slope wherever the ground is"
+
+
+def test_a_go_around_ends_at_the_gate_above_the_ground() -> None:
+    flight, waits = engaged(flying(height_m=60.0))[0], {}
+    lander = _lander(flight)
+    flight.wait = lambda what, until, timeout_s: waits.update({what: until})
+    flight.vehicle.fly_item = lambda item: None
+    lander.go_around("no range")
+    assert not waits["climb-out"](), "30 m above the ground, the gate is at 55 m"
+    heard(flight.watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=86_000)
+    assert waits["climb-out"]()
+
+
+def test_heights_of_an_approach_are_held_to_the_ceiling_with_the_ground_below_them() -> None:
+    with pytest.raises(SystemExit):
+        landing_approach.main(["--connect=udpin:127.0.0.1:1", "--ground=80", "--height=80"])
