@@ -3,7 +3,8 @@
 Three kinds of target. ``--ground H``: level ground at H metres above home, for a pair that looks down; the aircraft
 flies straight level legs at ``--heights``. ``--still D``: a target at a measured distance of D metres, nothing is
 commanded (bench, field); may be given for one distance at a time. ``--mark LAT,LON``: an obstacle of known place, for a
-pair that looks ahead; the aircraft flies at it along ``--bearing`` and turns off at ``--turn-off`` metres.
+pair that looks ahead; the aircraft flies at it along ``--bearing`` and turns off at ``--turn-off`` metres. No range
+guards that run: keep its line free of everything else. A way to its start that leads past the mark is refused.
 
 The wing that was calibrated on the ground is not the wing that flies: ``--still`` holds for the mounting of a pair that
 looks ahead, never for the trim bend of one that looks down.
@@ -32,6 +33,7 @@ _HEIGHT_OFF_M = 5.0
 _LEAST = 10  # ranges of a group: the median of fewer wanders
 _SLOW_RAD = 0.0003
 _LINE_UP_M = 150.0
+_LEAST_TURN_OFF_M = 50.0  # chosen: one and a half radii of a turn at 18 m/s and 45 degrees of bank
 
 Reference = Callable[[Range], tuple[float, float]]
 
@@ -47,11 +49,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--heights", type=float, nargs="+", default=[40.0, 60.0, 90.0], metavar="M", help="above home")
     parser.add_argument("--bearing", type=float, metavar="DEG", help="of the legs (default: the present heading)")
     parser.add_argument("--length", type=float, default=350.0, metavar="M", help="of each leg")
-    parser.add_argument("--turn-off", type=float, default=60.0, metavar="M", help="with --mark: nearest approach")
+    parser.add_argument(
+        "--turn-off",
+        type=float,
+        default=60.0,
+        metavar="M",
+        help=f"with --mark: nearest approach, {_LEAST_TURN_OFF_M:g} or more",
+    )
     parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="with --still: how long to gather")
     options = parser.parse_args(arguments)
     if options.known_sigma <= 0:
         parser.error("--known-sigma must be positive: no distance is known exactly")
+    if options.turn_off < _LEAST_TURN_OFF_M:
+        parser.error(f"--turn-off {options.turn_off:g}: {_LEAST_TURN_OFF_M:g} m at least, a turn needs that room")
     return run(options, calibrate)
 
 
@@ -146,7 +156,9 @@ def _mark(flight: Flight) -> list[Group]:
     height_m = options.heights[0]
     route = Route()
     run_m = options.turn_off + options.length
-    route.add(CLIMB_TO, mark.toward(bearing, -run_m - _LINE_UP_M), height_m, 1.0)
+    start = mark.toward(bearing, -run_m - _LINE_UP_M)
+    flight.need_clear_way(start, mark, options.turn_off)
+    route.add(CLIMB_TO, start, height_m, 1.0)
     route.add(WAYPOINT, mark.toward(bearing, -run_m), height_m)
     approach = route.add(WAYPOINT, mark.toward(bearing, -options.turn_off), height_m)
     aside = mark.toward(bearing, -options.turn_off, 3.0 * options.turn_off)

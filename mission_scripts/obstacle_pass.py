@@ -1,8 +1,9 @@
 """Fly past an obstacle of known place with a pair that looks ahead, and watch what the service makes of it.
 
 The aircraft flies a straight level leg that passes the obstacle at ``--aside`` metres. Trusted ranges are compared with
-the distance to the known place while it is in view. If anything is nearer ahead than ``--least`` the pass is broken off
-and the aircraft climbs away home (RTL): it is meant for obstacles that are lower than RTL_ALTITUDE.
+the distance to the known place while it is in view. If anything is nearer ahead than ``--least``, on the way to the
+start too, the flight is broken off and the aircraft climbs away home (RTL): it is meant for obstacles that are lower
+than RTL_ALTITUDE. A way to the start that itself leads past the obstacle is refused.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ def fly_past(flight: Flight) -> Exit:
     route = Route()
     ends = [options.obstacle.toward(options.bearing, along_m, -options.aside)
             for along_m in (-options.length - _LINE_UP_M, -options.length, options.length)]  # fmt: skip
+    flight.need_clear_way(ends[0], options.obstacle, options.aside)
     route.add(CLIMB_TO, ends[0], height_m, 1.0)
     route.add(WAYPOINT, ends[1], height_m)
     passing = route.add(WAYPOINT, ends[2], height_m)
@@ -78,7 +80,7 @@ def fly_past(flight: Flight) -> Exit:
 
 
 class Ahead:
-    """Every trusted range of the pass, held to the least distance as it comes."""
+    """Every trusted range, held to the least distance as it comes; those of the pass are compared with the place."""
 
     def __init__(self, flight: Flight, passing: int) -> None:
         self._flight, self._passing = flight, passing
@@ -92,10 +94,12 @@ class Ahead:
         watch, options = self._flight.watch, self._flight.options
         for entry in watch.ranges_since(self._from_s):
             self._from_s = math.nextafter(entry.at_s, math.inf)
-            if entry.trusted and watch.item == self._passing:
+            if not entry.trusted:
+                continue
+            if watch.item == self._passing:
                 self._take(entry, options.obstacle)
-                if entry.distance_m < options.least and time.monotonic() - entry.at_s < _FRESH_S:
-                    raise Aborted(f"{entry.distance_m:.1f} m ahead, least {options.least:g} m", Response.RETURN)
+            if entry.distance_m < options.least and time.monotonic() - entry.at_s < _FRESH_S:
+                raise Aborted(f"{entry.distance_m:.1f} m ahead, least {options.least:g} m", Response.RETURN)
 
     def _take(self, entry: Range, obstacle: Place) -> None:
         self._nearest_m = min(self._nearest_m, entry.distance_m)

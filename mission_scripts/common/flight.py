@@ -14,7 +14,7 @@ from typing import TextIO
 from companion.params.airframe import Airframe
 from mission_scripts.common.guard import Guard
 from mission_scripts.common.outcome import Aborted, Exit, Refused
-from mission_scripts.common.places import LOITER, TAKEOFF, Route
+from mission_scripts.common.places import LOITER, TAKEOFF, Place, Route
 from mission_scripts.common.recording import Tap, tap_is_enough
 from mission_scripts.common.vehicle import AUTO, NotAccepted, Vehicle
 from mission_scripts.common.vehicle import LOITER as LOITER_MODE
@@ -29,6 +29,7 @@ _STREAM_S, _HOME_S = 6.0, 90.0
 _ONTO_S = 15.0
 _TAKE_OFF_S = 120.0
 _ROLLING_MPS = 5.0  # chosen: airspeed from which a take-off is under way
+_TURN_M = 70.0  # derived: width of a turn about at 18 m/s and 45 degrees of bank, 2 v^2 / g
 _ABOVE_FLOOR = 1.1  # chosen: least height of a take-off over the floor, so that the circle there keeps off it
 # message ids (MAVLink common.xml)
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
@@ -281,6 +282,16 @@ class Flight:
             finally:
                 self.guard.interrupted = caught
             raise
+
+    def need_clear_way(self, start: Place, obstacle: Place, least_m: float) -> None:
+        """Refuse a way to the start that leads past an obstacle, with the room of the turn toward the start added."""
+        here, needed_m = self.watch.place, least_m + _TURN_M
+        off_m = obstacle.off_way_m(here, start)
+        if off_m < needed_m:
+            raise Refused(
+                f"the way to the start passes the obstacle at {off_m:.0f} m, least {needed_m:.0f} m: "
+                "fly to its other side first, from where the start is reached without passing it"
+            )
 
     def change_mode(self, number: int, order: Callable[[], None]) -> None:
         """Give an order that changes the mode, and wait until the heartbeat shows it."""

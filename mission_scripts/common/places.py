@@ -42,6 +42,15 @@ class Place:
         """Distance over the ground."""
         return math.hypot(*self.to(other))
 
+    def off_way_m(self, start: Place, end: Place) -> float:
+        """Distance from the straight way between two places."""
+        (north, east), (n, e) = start.to(end), start.to(self)
+        length_m = math.hypot(north, east)
+        if length_m == 0.0:
+            return math.hypot(n, e)
+        along_m = min(max((n * north + e * east) / length_m, 0.0), length_m)
+        return math.hypot(n - north * along_m / length_m, e - east * along_m / length_m)
+
 
 def parse_place(text: str) -> Place:
     """``LAT,LON`` in degrees; ValueError (argparse shows it) if it is not that."""
@@ -77,12 +86,7 @@ class Route:
         end = self.places[number] if number < len(self.places) else None
         if start is None or end is None:
             return None
-        (north, east), (n, e) = start.to(end), start.to(here)
-        length = math.hypot(north, east)
-        if length < 1.0:
-            return None
-        along = min(max((n * north + e * east) / length, 0.0), length)
-        return math.hypot(n - north * along / length, e - east * along / length)
+        return here.off_way_m(start, end) if start.distance_m(end) >= 1.0 else None
 
 
 def _item(number: int, frame: int, command: int, x: int, y: int, z: float, *params: float) -> Any:

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from mission_scripts import landing_approach
+from mission_scripts import calibrate_target, landing_approach, obstacle_pass
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
+from mission_scripts.common.places import Place
+from mission_scripts.common.watch import Watch
 from sitl_tests.unit.mission_cases import HERE, engaged, flying, guard, heard
 
 # ------------------------------------------------------------------------------------------ take-off
@@ -95,6 +97,66 @@ def _grounded(height_m: float, wait: Any = None) -> Flight:
     flight = Flight(options, nothing, watch, vehicle, guard(watch), nothing)
     flight.wait = wait  # type: ignore[method-assign]
     return flight
+
+
+# ------------------------------------------------------------------------------------------ past an obstacle
+
+
+@pytest.mark.parametrize(("north_m", "east_m"), [(900.0, 30.0), (460.0, 80.0), (400.0, 0.0)])
+def test_a_way_to_the_start_that_passes_the_obstacle_is_refused(north_m: float, east_m: float) -> None:
+    """From beyond the obstacle, from beside it, and from right before it."""
+    flight = _ahead(HERE.offset(north_m, east_m))
+    with pytest.raises(Refused, match="other side"):
+        obstacle_pass.fly_past(flight)
+    with pytest.raises(Refused, match="other side"):
+        calibrate_target._mark(flight)
+    assert not flight.engaged
+
+
+def test_a_way_to_the_start_on_the_near_side_is_flown() -> None:
+    flight = _ahead(HERE.offset(-200.0, 300.0))
+    flight.need_clear_way(HERE, flight.options.obstacle, 30.0)
+
+
+@pytest.mark.parametrize("item", [1, 2, 3])
+def test_something_near_ahead_ends_the_flight_on_every_item(item: int) -> None:
+    flight = _ahead(HERE)
+    ahead = obstacle_pass.Ahead(flight, 3)
+    heard(flight.watch, "MISSION_CURRENT", seq=item)
+    _range_ahead(flight.watch, 40.0)
+    ahead.check()
+    _range_ahead(flight.watch, 8.0)
+    with pytest.raises(Aborted, match="least 30 m") as caught:
+        ahead.check()
+    assert caught.value.response is Response.RETURN
+
+
+def test_a_turn_needs_room_before_the_mark() -> None:
+    with pytest.raises(SystemExit):
+        calibrate_target.main(["--connect=udpin:127.0.0.1:1", "--mark=47,8", "--turn-off=49"])
+
+
+def _ahead(place: Place) -> Any:
+    """An aircraft in the air at a place, 450 m and more from an obstacle to the north of HERE."""
+    watch = Watch(191, 0)
+    fields = {"lat": round(place.latitude_deg * 1e7), "lon": round(place.longitude_deg * 1e7)}
+    heard(watch, "GLOBAL_POSITION_INT", relative_alt=60_000, time_boot_ms=0, **fields)
+    mark = HERE.offset(450.0, 0.0)
+    options: Any = types.SimpleNamespace(
+        obstacle=mark, mark=mark, bearing=0.0, aside=30.0, length=200.0, height=60.0, heights=[60.0], least=30.0,
+        turn_off=60.0,
+    )  # fmt: skip
+    airframe: Any = types.SimpleNamespace(orientation=0)
+    nothing: Any = types.SimpleNamespace(say=lambda _: None)
+    flight = Flight(options, airframe, watch, nothing, guard(watch), nothing)
+    for name in ("need_ranges", "be_airborne"):
+        setattr(flight, name, lambda: None)
+    return flight
+
+
+def _range_ahead(watch: Watch, distance_m: float) -> None:
+    heard(watch, "DISTANCE_SENSOR", 191, min_distance=400, max_distance=20000, current_distance=round(100 * distance_m),
+          covariance=100, signal_quality=90, time_boot_ms=0, orientation=0)  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------ approach
