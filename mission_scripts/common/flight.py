@@ -27,6 +27,7 @@ _SERVICE_S = 60.0
 _RANGES_S = 5.0
 _STREAM_S, _HOME_S = 6.0, 90.0
 _ONTO_S = 15.0
+_CIRCLE_LIMITS = 3.0  # chosen: circles of up to 240 m are no leaving of the track at the limit's default
 _TAKE_OFF_S = 120.0
 _ROLLING_MPS = 5.0  # chosen: airspeed from which a take-off is under way
 _TURN_M = 70.0  # derived: width of a turn about at 18 m/s and 45 degrees of bank, 2 v^2 / g
@@ -67,12 +68,12 @@ class Track:
         self._item, self._since_s, self._onto = -1, 0.0, False
 
     def off_m(self) -> float | None:
-        """In metres; None while there is no leg, or the aircraft is still turning onto it."""
+        """In metres; None while there is no leg, the aircraft is still turning onto it, or circles at its end."""
         item, now_s = self._watch.item, time.monotonic()
         if item != self._item:
             self._item, self._since_s, self._onto = item, now_s, False
         off_m = self._route.off_track_m(item, self._watch.place)
-        if off_m is None:
+        if off_m is None or self._route.circles(item, self._watch.place, _CIRCLE_LIMITS * self._limit_m):
             return None
         self._onto = self._onto or off_m < self._limit_m or now_s - self._since_s > _ONTO_S
         return off_m if self._onto else None

@@ -88,6 +88,11 @@ class Route:
             return None
         return here.off_way_m(start, end) if start.distance_m(end) >= 1.0 else None
 
+    def circles(self, number: int, here: Place, within_m: float) -> bool:
+        """Whether an item is flown in circles about its place (as wide as the vehicle flies them), and that is near."""
+        place = self.places[number] if number < len(self.places) else None
+        return place is not None and self.items[number].command == CLIMB_TO and here.distance_m(place) < within_m
+
 
 def _item(number: int, frame: int, command: int, x: int, y: int, z: float, *params: float) -> Any:
     p = [*params, *[0.0] * (4 - len(params))]

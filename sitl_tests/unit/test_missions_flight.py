@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from mission_scripts import calibrate_target, landing_approach, obstacle_pass
-from mission_scripts.common.flight import Flight
+from mission_scripts.common.flight import Flight, Track
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
-from mission_scripts.common.places import Place
+from mission_scripts.common.places import Place, Route
 from mission_scripts.common.watch import Watch
 from sitl_tests.unit.mission_cases import HERE, engaged, flying, guard, heard
 
@@ -157,6 +157,23 @@ def _ahead(place: Place) -> Any:
 def _range_ahead(watch: Watch, distance_m: float) -> None:
     heard(watch, "DISTANCE_SENSOR", 191, min_distance=400, max_distance=20000, current_distance=round(100 * distance_m),
           covariance=100, signal_quality=90, time_boot_ms=0, orientation=0)  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------ on the track
+
+
+@pytest.mark.parametrize(("east_m", "off_m"), [(100.0, None), (300.0, 300.0)])
+def test_a_wide_circle_at_the_end_of_a_leg_is_on_the_track(east_m: float, off_m: float | None) -> None:
+    """WP_LOITER_RAD 100 against a limit of 80; far from the circle's place it is off the track as ever."""
+    watch, route = flying(), Route()
+    route.add(16, HERE, 50.0)
+    climbing = route.add(31, HERE.offset(400.0, 0.0), 70.0, 1.0)
+    track = Track(route, watch, 80.0)
+    heard(watch, "MISSION_CURRENT", seq=climbing)
+    assert track.off_m() == pytest.approx(0.0, abs=0.1), "on the way there the leg counts"
+    beside = HERE.offset(400.0, east_m)
+    heard(watch, "GLOBAL_POSITION_INT", lat=round(beside.latitude_deg * 1e7), lon=round(beside.longitude_deg * 1e7))
+    assert track.off_m() == pytest.approx(off_m, abs=0.1)
 
 
 # ------------------------------------------------------------------------------------------ approach
