@@ -8,7 +8,8 @@ from companion.setup.choices import Choices
 
 _AIRFRAME = "my-wing.toml"
 _CALIBRATED = "out/calibrate"
-_MISSION_LINK = "udpin:0.0.0.0:14540"
+_MISSION_LINK = "udpin:127.0.0.1:14540"  # convention: as the set-up writes it for the router
+_MISSION_RADIO = "/dev/ttyUSB0,57600"  # chosen: a telemetry radio, for without a router the service has the only link
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
     system = [NextStep("the system reads the new files", reload)] if here else []
     if restart and here:
         system.append(NextStep("the UART is freed at the next start", "sudo reboot"))
+    mission = _MISSION_LINK if choices.router else _MISSION_RADIO
     router = "sudo systemctl enable mavlink-router; sudo systemctl restart mavlink-router"
     if choices.router:
         system.append(NextStep("the router shares the autopilot out", router))
@@ -59,6 +61,6 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
         ),
         NextStep(
             "trim flight, from a checkout of Spanwise (no wheel has missions): the bend of level flight",
-            f"python -m mission_scripts.calibrate_target --connect {_MISSION_LINK} --ground 0",
+            f"python -m mission_scripts.calibrate_target --connect {mission} --airframe {choices.airframe} --ground 0",
         ),
     ]

@@ -226,6 +226,25 @@ def test_the_router_keeps_the_nodes_off_autopilot_and_radio(pi5: Path) -> None:
     assert 'SPANWISE_LINKS="--connect udpin:127.0.0.1:14550"' in (pi5 / DEFAULTS).read_text()
 
 
+def test_the_trim_flight_listens_where_the_router_sends_and_flies_the_service_s_airframe(
+    pi5: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(pi5, "usr/bin/mavlink-routerd", "", 0o755)
+    setup(pi5, "--airframe", "sitl-plane")
+    (flown,) = [line for line in capsys.readouterr().out.splitlines() if "mission_scripts.calibrate_target" in line]
+    words = shlex.split(flown)
+    assert words[words.index("--airframe") + 1] == "sitl-plane"
+    _, address, port = words[words.index("--connect") + 1].split(":")
+    lines = (pi5 / ROUTER).read_text().split("[UdpEndpoint missions]")[1].split("\n\n")[0].splitlines()
+    assert {"Mode = Normal", f"Address = {address}", f"Port = {port}", "BlockSrcCompOut = 200,201"} <= set(lines)
+
+
+def test_without_a_router_the_trim_flight_has_a_radio_of_its_own(pi5: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    setup(pi5)
+    (flown,) = [line for line in capsys.readouterr().out.splitlines() if "mission_scripts.calibrate_target" in line]
+    assert "--connect /dev/ttyUSB0,57600 --airframe /etc/spanwise/wing.toml" in flown
+
+
 def test_a_node_that_is_missing_does_not_take_the_router_down(pi5: Path) -> None:
     """It ends when one serial device cannot be opened: only the autopilot's is its own, and it is started again."""
     setup(pi5, "--router")
