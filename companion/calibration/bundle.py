@@ -1,9 +1,9 @@
 """Bundle adjustment of a stereo rig: both lenses, their relative pose and every board pose at once, with covariance.
 
-Gauss-Newton on all corners of both cameras. The board poses are eliminated (Schur complement), which leaves normal
-equations of the 24 shared parameters; their inverse, times the variance of the residuals, is the covariance of lenses
-and pose together, so that what trades against what (focal length against distance, principal point against rotation)
-is in every sigma.
+Gauss-Newton on all corners of both cameras, damped where a step would not lower the error. The board poses are
+eliminated (Schur complement), which leaves normal equations of the 24 shared parameters; their inverse, times the
+variance of the residuals, is the covariance of lenses and pose together, so that what trades against what (focal length
+against distance, principal point against rotation) is in every sigma.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from companion.records import Floats
 
 LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3 (by definition)
 SHARED = 2 * LENS + 6  # two lenses, rotation and translation (by definition)
-_MAX_STEPS = 12  # Gauss-Newton steps at most; it ends earlier once settled (numerical)
+_MAX_STEPS = 30  # steps at most, refused ones too; it ends earlier once settled (numerical)
+_FIRST_DAMPING = 1e-4  # of the unit diagonal, after a step that raised the error (numerical)
+_DAMPING_FACTOR = 10.0  # damping grows by it after a step that raised the error, and shrinks after another (numerical)
 _SETTLED = 1e-9  # relative step at which rounding rules (numerical)
 _JACOBIAN_COLUMNS = np.r_[
     6:10, 10:15
@@ -67,13 +69,25 @@ def adjust(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Fl
         On the board, by corner id.
     shared, boards : float64
         Start, as in :class:`Bundle`.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The views leave a parameter open.
     """
+    damping, least = 0.0, _squares(observed, points_m, shared, boards)
     for _ in range(_MAX_STEPS):
         normal, gradient, back = _normal_equations(observed, points_m, shared, boards)
-        step = _scaled_solve(normal, gradient)
+        step = _scaled_solve(normal, gradient, damping)
         moves = np.array([inverse @ (g - cross.T @ step) for inverse, g, cross in back])
-        shared, boards = shared + step, boards + moves
-        if float(np.max(np.abs(step / (np.abs(shared) + 1e-3)))) < _SETTLED:
+        squares = _squares(observed, points_m, shared + step, boards + moves)
+        settled = float(np.max(np.abs(step / (np.abs(shared) + 1e-3)))) < _SETTLED
+        if squares <= least or settled:
+            shared, boards, least = shared + step, boards + moves, squares
+            damping = damping / _DAMPING_FACTOR if damping > _FIRST_DAMPING else 0.0
+        else:
+            damping = max(_DAMPING_FACTOR * damping, _FIRST_DAMPING)
+        if settled:
             break
     normal, _, _ = _normal_equations(observed, points_m, shared, boards)
     residuals = [tuple(_view(pair, points_m, shared, board)[0]) for pair, board in zip(observed, boards, strict=True)]
@@ -82,6 +96,12 @@ def adjust(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Fl
     variance = total / max(count - SHARED - boards.size, 1)
     covariance = variance * _scaled_solve(normal, np.eye(SHARED))
     return Bundle(shared, covariance, boards, [(left, right) for left, right in residuals])
+
+
+def _squares(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats) -> float:
+    """Sum of the squared residuals."""
+    views = [_view(pair, points_m, shared, board)[0] for pair, board in zip(observed, boards, strict=True)]
+    return float(sum(np.sum(residual**2) for pair in views for residual in pair))
 
 
 def _normal_equations(
@@ -138,9 +158,13 @@ def _chain(turned: tuple[Floats, ...]) -> tuple[Floats, Floats]:
     return np.block([[r_r1, r_t1], [t_r1, t_t1]]), np.block([[r_r2, r_t2], [t_r2, t_t2]])
 
 
-def _scaled_solve(normal: Floats, wanted: Floats) -> Floats:
+def _scaled_solve(normal: Floats, wanted: Floats, damping: float = 0.0) -> Floats:
     """Solve with rows and columns scaled to a unit diagonal: pixels, radians and metres differ by orders."""
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    solved = np.linalg.solve(normal * np.outer(scale, scale), (wanted.T * scale).T)
+    diagonal = np.diag(normal)
+    if not np.all(diagonal > 0.0):
+        raise np.linalg.LinAlgError("a parameter that no residual depends on")
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = normal * np.outer(scale, scale) + damping * np.eye(len(normal))
+    solved = np.linalg.solve(scaled, (wanted.T * scale).T)
     answer: Floats = (solved.T * scale).T
     return answer

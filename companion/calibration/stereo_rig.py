@@ -23,10 +23,16 @@ _NAMED = 5  # refused views in the sentence of an error (choice)
 LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by (choice)
 _OUTLIER = 3.0  # times the median reprojection error of the views (choice)
 _HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do (choice)
+_LARGEST_FOCAL_SIGMA = 0.05  # of the focal length; tilted boards leave a thousandth (choice)
+_LARGEST_ERROR_PX = 2.0  # corners are found to a tenth; beyond it the fit is none (choice)
 CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
 _FAR_M = 60.0  # where the toe is what counts (choice)
 # numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+_UNDETERMINED = (
+    "the views do not determine the lenses: tilt the board by 20 degrees and more, to all sides, near and far, "
+    "and show it in all of the image"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +152,17 @@ def calibrate_rig(
     Raises
     ------
     ConfigError
-        Fewer than six usable views.
+        Fewer than six usable views, or the views do not determine the lenses.
     """
+    try:
+        return _calibrated(views, board, size_px, rejected)
+    except np.linalg.LinAlgError as error:
+        raise ConfigError(_UNDETERMINED) from error
+
+
+def _calibrated(
+    views: list[BoardView], board: Board, size_px: tuple[int, int], rejected: dict[str, str] | None
+) -> RigFit:
     refused = dict(rejected or {})
     while True:
         if len(views) < LEAST_VIEWS:
@@ -167,6 +182,8 @@ def calibrate_rig(
         if bad is not None:
             refused[views[bad[0]].name] = bad[1]
             views = [view for index, view in enumerate(views) if index != bad[0]]
+    if not _determined(bundle):
+        raise ConfigError(_UNDETERMINED)
     sigma = np.sqrt(np.diag(bundle.covariance))
     first, second, pose = (slice(0, LENS), slice(LENS, 2 * LENS), slice(2 * LENS, None))
     lenses = (LensFit(bundle.shared[first], sigma[first]), LensFit(bundle.shared[second], sigma[second]))
@@ -176,6 +193,15 @@ def calibrate_rig(
     return RigFit(
         lenses, vector[:3], sigmas[:3], vector[3:], sigmas[3:], bundle.error_px, names, refused, unseen, bundle, size_px
     )
+
+
+def _determined(bundle: Bundle) -> bool:
+    """Whether the fit is finite, fits, and knows its focal lengths: a board that is not tilted leaves them open."""
+    variance, focal = np.diag(bundle.covariance), [0, 1, LENS, LENS + 1]
+    if not (np.all(np.isfinite(bundle.shared)) and np.all(variance >= 0.0) and np.all(np.isfinite(variance))):
+        return False
+    focal_px, sigma_px = bundle.shared[focal], np.sqrt(variance[focal])
+    return bool(np.all(sigma_px <= _LARGEST_FOCAL_SIGMA * focal_px)) and bundle.error_px <= _LARGEST_ERROR_PX
 
 
 def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:

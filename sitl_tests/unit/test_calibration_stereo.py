@@ -7,13 +7,23 @@ import dataclasses
 import functools
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from companion.calibration.boards import Board, find_corners
-from companion.calibration.stereo_rig import RigFit, airframe_with_rig, calibrate_rig, find_views, toe_sigma_rad
+from companion.calibration import stereo_rig
+from companion.calibration.boards import Board, Corners, find_corners
+from companion.calibration.bundle import Bundle, adjust
+from companion.calibration.stereo_rig import (
+    BoardView,
+    RigFit,
+    airframe_with_rig,
+    calibrate_rig,
+    find_views,
+    toe_sigma_rad,
+)
 from companion.cli import calibrate
 from companion.core.stereo.geometry import Lens, Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -89,6 +99,26 @@ def _fit(kind: str, seed: int = 4) -> RigFit:
     return calibrate_rig(views, board, SIZE, rejected)
 
 
+def _drawn(tilt_rad: float, seed: int, n: int = 10, square_m: float = 0.04) -> list[BoardView]:
+    """Projected corners with 0.1 px of noise, in all views the whole board; no images."""
+    random, views = np.random.default_rng(seed), list[BoardView]()
+    points = CHARUCO.points_m() * square_m / CHARUCO.square_m
+    while len(views) < n:
+        turn = random.uniform(-tilt_rad, tilt_rad, 3)
+        target = (
+            np.array([0.12, 0.0, 0.0]) + random.uniform(-0.15, 0.15, 3) * [1, 1, 0] + [0, 0, random.uniform(1, 1.5)]
+        )
+        place = target - exp_rotation(turn) @ points.mean(axis=0)
+        apart = log_rotation(exp_rotation(TURN) @ exp_rotation(turn))
+        sides = []
+        for lens, rotation, shift in ((LEFT, turn, place), (RIGHT, apart, exp_rotation(TURN) @ place + SHIFT)):
+            pixels = cv2.projectPoints(points, rotation, shift, lens.matrix, np.asarray(lens.distortion))[0][:, 0]
+            sides.append(Corners(np.arange(len(points)), pixels + random.normal(0.0, 0.1, pixels.shape)))
+        if all(np.all((side.pixels > 3) & (side.pixels < np.array(SIZE) - 4)) for side in sides):
+            views.append(BoardView(f"view{len(views)}", *sides))
+    return views
+
+
 def _truth() -> np.ndarray:
     """The 24 shared parameters, in the bundle's order."""
     first, second = (
@@ -161,6 +191,34 @@ def test_a_view_whose_images_do_not_belong_together_or_show_no_board_is_refused_
     assert "reprojection error" in fit.rejected["shaken"]
     with pytest.raises(ConfigError, match="too few"):
         calibrate_rig(views, CHESS, SIZE)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.01, 0.02, 0.03])
+def test_a_board_that_was_not_tilted_is_refused(tilt_rad: float) -> None:
+    for seed in range(3):
+        with pytest.raises(ConfigError, match="do not determine the lenses: tilt the board"):
+            calibrate_rig(_drawn(tilt_rad, seed), CHARUCO, SIZE)
+
+
+def test_one_view_again_and_again_is_refused() -> None:
+    view = _drawn(0.3, 1, n=1)[0]
+    with pytest.raises(ConfigError, match="tilt the board"):
+        calibrate_rig([dataclasses.replace(view, name=str(k)) for k in range(6)], CHARUCO, SIZE)
+
+
+def test_steps_do_not_run_away_where_the_views_leave_the_lenses_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undamped, these two end in a singular matrix and in lenses that are not finite."""
+    bundles: list[Bundle] = []
+
+    def noted(*start: Any) -> Bundle:
+        bundles.append(adjust(*start))
+        return bundles[-1]
+
+    monkeypatch.setattr(stereo_rig, "adjust", noted)
+    for seed in (1, 2):
+        with pytest.raises(ConfigError, match="tilt the board"):
+            calibrate_rig(_drawn(0.02, seed), CHARUCO, SIZE)
+        assert bundles[-1].error_px < 0.2
 
 
 @pytest.mark.slow
