@@ -29,6 +29,9 @@ CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
 _FAR_M = 60.0  # where the toe is what counts (choice)
 # numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+_BASELINE_OFF = 0.05  # of the base airframe's baseline: a tape measures it to a few per cent at worst (choice)
+_TURN_OFF_RAD = 0.175  # 10 degrees between the cameras: no eye mounts worse (choice)
+_ASIDE_RAD = 0.785  # 45 degrees between the baselines' directions: more is another side, no mounting error (choice)
 _UNDETERMINED = (
     "the views do not determine the lenses: tilt the board by 20 degrees and more, to all sides, near and far, "
     "and show it in all of the image"
@@ -210,7 +213,7 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     Raises
     ------
     ConfigError
-        The base has no cameras.
+        The base has no cameras, or they are not where the fit has them: a wrong board, or cameras swapped.
     """
     pair, sigmas = base.camera_pair, lens_sigmas(fit.bundle, fit.size_px)
     left, right = (_with_lens(pair[k], fit.lenses[k], sigmas[k], fit.size_px) for k in (0, 1))
@@ -219,6 +222,7 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     turned = right_from_left @ left_from_body @ axes_from_body(right.axes, "right_camera.axes").T
     x, y, z = (float(entry) for entry in -log_rotation(turned))
     centre_left = -right_from_left.T @ fit.translation_m
+    _require_like(pair, log_rotation(turned), left_from_body.T @ centre_left)
     px, py, pz = (float(entry) for entry in np.array(left.position_m) + left_from_body.T @ centre_left)
     # each camera is given half of the variance; what rotation and principal points trade is in neither
     sigma = float(np.sqrt(np.mean(look_sigma_rad(fit.bundle, fit.size_px) ** 2) / 2.0))
@@ -226,6 +230,26 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     return dataclasses.replace(
         base, left_camera=dataclasses.replace(left, rotation_sigma_rad=sigma), right_camera=right
     )
+
+
+def _require_like(pair: tuple[Camera, Camera], turn_rad: Floats, apart_m: Floats) -> None:
+    """Refuse a right camera, turned against its axes and apart from the left one (body), that is not the base's."""
+    base_m = np.array(pair[1].position_m) - np.array(pair[0].position_m)
+    length_m, base_length_m = float(np.linalg.norm(apart_m)), float(np.linalg.norm(base_m))
+    if abs(length_m - base_length_m) > _BASELINE_OFF * base_length_m:
+        raise ConfigError(
+            f"the board puts the cameras {length_m:.3f} m apart, the airframe file {base_length_m:.3f} m: measure a "
+            "square of the board for --square-m; where the file is wrong, correct its cameras' position_m by a tape"
+        )
+    turn = exp_rotation(turn_rad) @ exp_rotation(np.array(pair[1].rotation_rad))
+    off_rad = float(np.linalg.norm(log_rotation(turn)))
+    aside_rad = math.acos(max(-1.0, min(1.0, float(apart_m @ base_m) / (length_m * base_length_m))))
+    if off_rad > _TURN_OFF_RAD or aside_rad > _ASIDE_RAD:
+        raise ConfigError(
+            f"the right camera is turned by {math.degrees(off_rad):.0f} degrees, and its place from the left one by "
+            f"{math.degrees(aside_rad):.0f} degrees, against the airframe file: are the cameras swapped or the images "
+            "mirrored? Else correct axes, rotation_rad and position_m of its cameras"
+        )
 
 
 def _with_lens(camera: Camera, fit: LensFit, sigmas: LensSigmas, size_px: tuple[int, int]) -> Camera:

@@ -24,7 +24,7 @@ from companion.cli.steps.options import check_output, result_folder
 from companion.errors import ConfigError
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
 from companion.params.airframe import Airframe, Camera, Uncertain
-from companion.params.files import dump_airframe, load_airframe
+from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.ports import CameraPair
 from companion.records import Side
 from companion.reporting.plotting import require_report
@@ -78,7 +78,9 @@ def execute(options: argparse.Namespace) -> int:
     with result_folder(options.out):
         check_output(path, "--out")
         airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
-        path.write_text(dump_airframe(airframe), encoding="utf-8")
+        text = dump_airframe(airframe)
+        parse_airframe(text, f"{path}, not written")
+        path.write_text(text, encoding="utf-8")
     print(f"wrote {path}")
     return 0
 

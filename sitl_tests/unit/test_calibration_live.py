@@ -17,9 +17,9 @@ from companion.cli.steps.calibrate_live import take_views
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.errors import ConfigError
-from companion.params.files import load_airframe
+from companion.params.files import dump_airframe, load_airframe
 from companion.records import ClockName, Frame, Side
-from sitl_tests.unit.test_calibration_stereo import CHARUCO, SIZE, _pairs
+from sitl_tests.unit.test_calibration_stereo import CHARUCO, SIZE, _pairs, short_base
 
 FOCAL_PX = 600.0
 
@@ -119,7 +119,9 @@ def test_views_are_taken_from_cameras_that_run_until_the_user_stops(
     monkeypatch.setattr(calibrate.cameras, "camera_factory", lambda *_, **__: lambda: rig)
     parser = argparse.ArgumentParser()
     calibrate.add_arguments(parser)
-    words = ["stereo", "--cameras", "v4l2:0,1", "--square-m", "0.04", "--airframe", "forward-2m"]
+    base = tmp_path / "base.toml"
+    base.write_text(dump_airframe(short_base()), encoding="utf-8")
+    words = ["stereo", "--cameras", "v4l2:0,1", "--square-m", "0.04", "--airframe", str(base)]
     words += ["--out", str(tmp_path), "--views", "8"]
     assert calibrate.execute(parser.parse_args(words)) == 0
     said = capsys.readouterr().out

@@ -198,3 +198,15 @@ def test_the_command_writes_the_mounting(
     made = load_airframe(str(tmp_path / "airframe.toml"))
     assert made.left_camera is not None
     assert np.linalg.norm(made.left_camera.rotation_rad) < 5e-3
+
+
+def test_what_no_file_may_hold_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    base = _base()
+    right = dataclasses.replace(base.camera_pair[1], position_m=(0.0, -1.49, 0.0))
+    monkeypatch.setattr(calibrate, "_mounting", lambda *_: dataclasses.replace(base, right_camera=right))
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    words = ["mounting", "flight.mcap", "--square-m", "0.04", "--airframe", "forward-2m", "--out", str(tmp_path)]
+    with pytest.raises(ConfigError, match=r"airframe\.toml, not written: .* are the cameras swapped"):
+        calibrate.execute(parser.parse_args(words))
+    assert not (tmp_path / "airframe.toml").exists()

@@ -28,7 +28,8 @@ from companion.cli import calibrate
 from companion.core.stereo.geometry import Lens, Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.errors import ConfigError
-from companion.params.files import load_airframe
+from companion.params.airframe import Airframe
+from companion.params.files import dump_airframe, load_airframe
 
 SIZE = (640, 480)
 BENT = np.array([-0.12, 0.05, 0.0004, -0.0003, 0.0])
@@ -97,6 +98,16 @@ def _fit(kind: str, seed: int = 4) -> RigFit:
     board = CHESS if kind == "chessboard" else CHARUCO
     views, rejected = find_views(_pairs(kind, seed=seed), board)
     return calibrate_rig(views, board, SIZE, rejected)
+
+
+def short_base() -> Airframe:
+    """An airframe whose cameras are where a tape finds the rendered pair's."""
+    base = load_airframe("forward-2m")
+    left, right = (
+        dataclasses.replace(camera, position_m=(0.0, y_m, 0.0))
+        for camera, y_m in zip(base.camera_pair, (-0.124, 0.124), strict=True)
+    )
+    return dataclasses.replace(base, left_camera=left, right_camera=right)
 
 
 def _drawn(tilt_rad: float, seed: int, n: int = 10, square_m: float = 0.04) -> list[BoardView]:
@@ -224,12 +235,32 @@ def test_steps_do_not_run_away_where_the_views_leave_the_lenses_open(monkeypatch
 @pytest.mark.slow
 def test_the_airframe_that_is_written_has_the_rig_in_it() -> None:
     fit = _fit("charuco")
-    rig = Rig.from_airframe(airframe_with_rig(load_airframe("forward-2m"), fit))
+    rig = Rig.from_airframe(airframe_with_rig(short_base(), fit))
     left, right = rig.left.rest, rig.right.rest
     assert np.allclose(log_rotation(right.camera_from_body @ left.camera_from_body.T), fit.rotation_rad, atol=1e-9)
     apart = right.camera_from_body @ (left.position_body_m - right.position_body_m)
     assert np.allclose(apart, fit.translation_m, atol=1e-9)
     assert rig.right.lens.matrix[1, 1] == pytest.approx(fit.lenses[1].values[1])
+
+
+def test_a_square_of_another_size_is_refused() -> None:
+    fit = calibrate_rig(_drawn(0.4, 3, square_m=0.036), CHARUCO, SIZE)
+    with pytest.raises(
+        ConfigError, match=r"0\.278 m apart, the airframe file 0\.248 m: measure a square .* --square-m"
+    ):
+        airframe_with_rig(short_base(), fit)
+
+
+def test_swapped_cameras_and_a_turned_right_one_are_refused() -> None:
+    views = _drawn(0.4, 3)
+    base, fit = short_base(), calibrate_rig(views, CHARUCO, SIZE)
+    airframe_with_rig(base, fit)
+    swapped = [dataclasses.replace(view, left=view.right, right=view.left) for view in views]
+    with pytest.raises(ConfigError, match=r"by 1[78][0-9] degrees, against the airframe file: are the cameras swapped"):
+        airframe_with_rig(base, calibrate_rig(swapped, CHARUCO, SIZE))
+    turned = dataclasses.replace(base.camera_pair[1], rotation_rad=(0.0, 0.0, 0.2))
+    with pytest.raises(ConfigError, match=r"the right camera is turned by 1[0-9] degrees"):
+        airframe_with_rig(dataclasses.replace(base, right_camera=turned), fit)
 
 
 def test_a_board_is_not_found_where_there_is_none() -> None:
@@ -249,7 +280,17 @@ def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path
     cv2.imwrite(str(tmp_path / "cam0" / "5.png"), left)
     parser = argparse.ArgumentParser()
     calibrate.add_arguments(parser)
-    words = ["stereo", str(tmp_path), "--square-m", "0.04", "--airframe", "forward-2m", "--out", str(tmp_path / "out")]
+    words = [
+        "stereo",
+        str(tmp_path),
+        "--square-m",
+        "0.04",
+        "--airframe",
+        str(tmp_path / "base.toml"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    (tmp_path / "base.toml").write_text(dump_airframe(short_base()), encoding="utf-8")
     assert calibrate.execute(parser.parse_args(words)) == 0
     report = (tmp_path / "out" / "report.html").read_text()
     first = report.split("<h1", 1)[1].split("</h1>")[0]
