@@ -91,7 +91,8 @@ def mount(attitudes: list[Attitude]) -> Mounting:
 def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> Airframe:
     """The base airframe with both cameras turned together, as their sections' sensors say.
 
-    The rotation between the cameras is left as it is: a stereo calibration knows it ten times better than gravity.
+    The rotation between the cameras is left as it is: a stereo calibration knows it ten times better than gravity. The
+    right camera's place turns with them about the left one, for that calibration knows it in the left camera's axes.
 
     Raises
     ------
@@ -108,7 +109,11 @@ def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> A
         dataclasses.replace(camera, rotation_rad=_rotation(camera, rest, name))
         for camera, rest, name in ((left_camera, middle, "left"), (right_camera, right_from_left @ middle, "right"))
     ]
-    return dataclasses.replace(base, left_camera=turned[0], right_camera=turned[1])
+    left_m = np.array(left_camera.position_m)
+    apart_m = middle.T @ before[0] @ (np.array(right_camera.position_m) - left_m)
+    x, y, z = (float(entry) for entry in left_m + apart_m)
+    right_turned = dataclasses.replace(turned[1], position_m=(x, y, z))
+    return dataclasses.replace(base, left_camera=turned[0], right_camera=right_turned)
 
 
 def disagreement_rad(base: Airframe, left: Mounting, right: Mounting) -> float:

@@ -147,6 +147,12 @@ def test_the_pair_is_turned_by_the_mean_of_both_and_keeps_its_relative_pose() ->
     made = Rig.from_airframe(airframe_with_mounting(base, left, right))
     before = rests[1] @ rests[0].T
     assert np.allclose(made.right.rest.camera_from_body @ made.left.rest.camera_from_body.T, before, atol=1e-12)
+    seen_m = [
+        pair.left.rest.camera_from_body @ (pair.right.rest.position_body_m - pair.left.rest.position_body_m)
+        for pair in (rig, made)
+    ]
+    assert np.allclose(seen_m[1], seen_m[0], atol=1e-12), "the baseline stays as the left camera sees it"
+    assert np.allclose(made.left.rest.position_body_m, rig.left.rest.position_body_m)
     turned = log_rotation(made.left.rest.camera_from_body @ rests[0].T)
     assert np.allclose(turned, 0.5 * (ways[0] + before.T @ ways[1]), atol=1e-4)
     assert disagreement_rad(base, left, right) == pytest.approx(np.linalg.norm(ways[1] - before @ ways[0]), abs=1e-4)
