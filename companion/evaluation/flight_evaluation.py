@@ -34,7 +34,7 @@ TRUSTED_FROM_S = 15.0  # chosen: clocks, tracker and latency have settled
 _RANDOM_RATE_HZ = 4.0  # chosen: some hundred instants in half a minute
 _RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
 _ARRIVAL_NS = 100_000_000  # chosen: read-out and matching of a small companion computer
-_NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QUEUE_FULL)
+_NO_RANGE = (Reject.FRAME_LOST, Reject.FROZEN, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QUEUE_FULL)
 """What happens to images on their way; nothing else is refused for these reasons."""
 
 

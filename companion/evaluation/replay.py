@@ -36,7 +36,7 @@ _RESUMED_STEP_NS = 1_000_000_000  # and in steps of so much at most (choice)
 _LONGEST_GAP_NS = 30_000_000_000  # no ticks beyond: one damaged stamp may be ages ahead (choice)
 _OWN_INPUTS = (RawChunk, MatchSet, Shot, Tick, ParameterChange)
 _LOGGED = (ImuBatch, VehicleState, Rejected)
-_DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED, Reject.FRAME_LOST)
+_DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED, Reject.FRAME_LOST, Reject.FROZEN)
 """Made by the trigger and vision processes alone, so they come in; all others are made again by the replay."""
 
 

@@ -86,6 +86,7 @@ class Reject(enum.StrEnum):
     QUEUE_FULL = "queue full"
     UNPAIRED = "frame without a partner"
     FRAME_LOST = "exposure whose image never came"
+    FROZEN = "image equal to the one before"
     FOREIGN_SOURCE = "message from a component that is not mapped"
     CRC = "checksum wrong"
     IMPLAUSIBLE = "parameter outside its plausible range"

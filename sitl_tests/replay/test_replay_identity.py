@@ -285,7 +285,8 @@ def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: py
 def test_refusals_by_the_devices_are_inputs_and_our_own_are_made_again() -> None:
     """Plans that the trigger process could not fire are counted by the pipeline; only the recording knows of them."""
     device_refusals = [
-        Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)
+        Rejected(reason, "plan 3", 7)
+        for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED, Reject.FROZEN)
     ]
     made = [Rejected(reason, "left samples", 8) for reason in (Reject.CLOCK_UNSYNCED, Reject.STALE, Reject.TOO_LATE)]
     records: list[Record] = [*device_refusals, *made, Tick(9)]

@@ -134,6 +134,7 @@ def test_a_forward_pair_fills_its_picture_unless_it_is_told_not_to(pair: FramePa
     state = VisionState.create(AIRFRAME, SETTINGS)
 
     def count() -> int:
+        state.shown = None  # the same images again
         frames = [dataclasses.replace(f, mid_exposure_ns=state.pairer.next_id * 10**8) for f in (pair.left, pair.right)]
         match_sets = [r for frame in frames for r in vision_step(state, frame, 0) if isinstance(r, MatchSet)]
         return match_sets[0].filled

@@ -12,7 +12,18 @@ from hypothesis import strategies as st
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.vision import FrameChoice, VisionState, vision_step
 from companion.params.settings import Settings
-from companion.records import ClockName, Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Side, TriggerPlan
+from companion.records import (
+    ClockName,
+    Firing,
+    Frame,
+    FramePair,
+    MatchSet,
+    ParameterChange,
+    Reject,
+    Rejected,
+    Side,
+    TriggerPlan,
+)
 from sitl_tests.unit.stereo_cases import nadir
 from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
 
@@ -22,13 +33,13 @@ BLANK = np.zeros((2, 2), dtype=np.uint8)
 
 
 def _frames(shot: int) -> list[Frame]:
-    """Textured ground at 8 m, seen in trim."""
+    """Textured ground at 8 m, seen in trim, with the noise of this shot."""
     airframe = nadir()
     rig, wing = Rig.from_airframe(airframe), airframe.wing
     slope = wing.symmetric.slope_factor_radpm.value * wing.trim_bend_m.value
     plane = TexturedPlane.facing((0.0, 0.0, 1.0), RANGE_M, 800.0, seed=2)
     poses = [rig.pose(side, slope, wing.trim_bend_m.value) for side in Side]
-    images = [photograph(plane, rig.camera(side), poses[side], noise_grey=2.0, seed=side) for side in Side]
+    images = [photograph(plane, rig.camera(side), poses[side], noise_grey=2.0, seed=2 * shot + side) for side in Side]
     return [Frame(side, shot, ClockName.HOST, shot * 100 * MS, 2 * MS, 0, shot, images[side]) for side in Side]
 
 
@@ -43,16 +54,13 @@ def _matches(state: VisionState, frames: list[Frame]) -> int:
 def test_live_range_limits_reach_the_search() -> None:
     """Nothing at 8 m is found while RNG_MIN is 30 m; a ground station lowers it, and the next pair has it."""
     state = VisionState.create(nadir(), dataclasses.replace(Settings(), min_range_m=30.0))
-    frames = _frames(1)
-    few = _matches(state, frames)
+    few = _matches(state, _frames(1))
     assert vision_step(state, ParameterChange("RNG_MIN", 4.0, 0), 0) == []
-    again = [dataclasses.replace(frame, mid_exposure_ns=frame.mid_exposure_ns + 100 * MS) for frame in frames]
-    many = _matches(state, again)
+    many = _matches(state, _frames(2))
     assert many > 50
     assert few < 0.1 * many
     vision_step(state, ParameterChange("RNG_MAX", 5.0, 0), 0)
-    later = [dataclasses.replace(frame, mid_exposure_ns=frame.mid_exposure_ns + 200 * MS) for frame in frames]
-    assert _matches(state, later) < 0.1 * many
+    assert _matches(state, _frames(3)) < 0.1 * many
 
 
 def _plan(plan_id: int, t_ns: int, firing: Firing = Firing.PEAK) -> TriggerPlan:
@@ -129,3 +137,37 @@ def test_a_lonely_frame_is_told_while_frames_are_chosen_too() -> None:
     vision_step(free, Frame(Side.LEFT, 1, ClockName.HOST, 5 * MS, MS, 0, -1, BLANK), 0)
     records = vision_step(free, Frame(Side.LEFT, 0, ClockName.HOST, MS, MS, 0, -1, BLANK), 0)
     assert [getattr(record, "reason", None) for record in records] == [Reject.UNPAIRED]
+
+
+def _patterned(side: Side, shot: int, seed: int | None) -> Frame:
+    """A frame of noise of its own, or of one grey."""
+    image = np.full((480, 640), 7, dtype=np.uint8)
+    if seed is not None:
+        image = np.random.default_rng(seed).integers(0, 255, image.shape, dtype=np.uint8)
+    return Frame(side, shot, ClockName.HOST, shot * 100 * MS, MS, 0, -1, image)
+
+
+def _said(state: VisionState, seeds: list[tuple[int | None, int | None]]) -> list[Reject | None]:
+    records: list[MatchSet | Rejected] = []
+    for shot, seed in enumerate(seeds):
+        if state.choice is not None and shot > 0:
+            vision_step(state, _plan(shot, shot * 100 * MS), 0)
+        for side in Side:
+            records += vision_step(state, _patterned(side, shot, seed[side]), 77)
+    assert all(record.at_host_ns == 77 for record in records if isinstance(record, Rejected))
+    return [record.reason if isinstance(record, Rejected) else None for record in records]
+
+
+@pytest.mark.parametrize("held", list(Side))
+def test_a_camera_that_sends_its_last_image_again_gives_no_matches(held: Side) -> None:
+    """Its stamps go on, so that nothing but the images tells that the range is one of long ago."""
+    seeds = [(1, 2), (3, 4), (3, 6), (3, 8), (9, 10)]
+    shown = [pair if held is Side.LEFT else pair[::-1] for pair in seeds]
+    verdicts: list[Reject | None] = [None, None, Reject.FROZEN, Reject.FROZEN, None]
+    assert _said(VisionState.create(nadir(), Settings()), shown) == verdicts
+    assert _said(VisionState.create(nadir(), Settings(), free_running=True), shown) == verdicts[1:]
+
+
+def test_covered_lenses_are_not_frozen() -> None:
+    """They show nothing, and that is what is said of them: too few matches."""
+    assert _said(VisionState.create(nadir(), Settings()), [(None, None)] * 3) == [None] * 3

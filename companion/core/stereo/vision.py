@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from companion.core.stereo.filling import filled
 from companion.core.stereo.flow_matching import EarlierView, flow_since
 from companion.core.stereo.geometry import Rig
@@ -55,6 +57,7 @@ class VisionState:
     The search is opened as far as trim bend, gusts and load factor can move the images, and from the shortest to the
     longest range that is asked for: it depends on airframe and settings alone, and a recorded pair gives the same
     matches in replay, whatever the wing was believed to do. ``choice`` is for cameras that nobody triggers.
+    ``shown`` is the last pair that came, chosen or not.
     """
 
     airframe: Airframe
@@ -65,6 +68,7 @@ class VisionState:
     choice: FrameChoice | None = None
     numbers: dict[Side, int] = field(default_factory=dict)
     earlier: EarlierView | None = None
+    shown: FramePair | None = None
 
     @classmethod
     def create(
@@ -90,6 +94,16 @@ class VisionState:
             return filled(matches, pair, self.rig, self.search)
         return matches
 
+    def frozen(self, pair: FramePair, now_host_ns: int) -> list[Rejected]:
+        """The refusal of a pair of which either image is the last one again under a new stamp, bit for bit.
+
+        Noise alone makes two exposures differ. Images of a single grey are equal too, and have no matches anyway.
+        """
+        last, self.shown = self.shown, pair
+        if last is None or not (_is_again(last.left, pair.left) or _is_again(last.right, pair.right)):
+            return []
+        return [Rejected(Reject.FROZEN, f"pair {pair.pair_id}", now_host_ns)]
+
     def missing(self, frame: Frame) -> list[Rejected]:
         """Frames missing in one camera's numbering: exposures whose images were lost on the way, or never made."""
         count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
@@ -102,7 +116,7 @@ class VisionState:
 def vision_step(
     state: VisionState, record: Frame | ParameterChange | TriggerPlan, now_host_ns: int
 ) -> list[MatchSet | Rejected]:
-    """Take a frame, a changed setting or a plan; give the matches of every pair that a frame completes."""
+    """Take a frame, a changed setting or a plan; give the matches of each pair that a frame completes, or refuse it."""
     if isinstance(record, ParameterChange):
         state.adopt(record)
         return []
@@ -112,6 +126,14 @@ def vision_step(
         return []
     lost = state.missing(record)
     pairs, lonely = state.pairer.add(record)
-    if state.choice is not None:
-        pairs = [pair for pair in pairs if state.choice.takes(pair)]
-    return [*lost, *(state.match(pair, now_host_ns) for pair in pairs), *lonely]
+    said: list[MatchSet | Rejected] = [*lost]
+    for pair in pairs:
+        frozen = state.frozen(pair, now_host_ns)
+        if state.choice is None or state.choice.takes(pair):
+            said += frozen or [state.match(pair, now_host_ns)]
+    return [*said, *lonely]
+
+
+def _is_again(last: Frame, frame: Frame) -> bool:
+    """Whether a frame shows the last one's image, and something is to be seen in it."""
+    return np.array_equal(last.image, frame.image) and int(np.ptp(frame.image)) > 0
