@@ -8,7 +8,7 @@ import pickle
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -134,6 +134,41 @@ def test_an_airframe_without_cameras_has_none_to_open(airframe: Airframe) -> Non
     blind = dataclasses.replace(airframe, left_camera=None, right_camera=None)
     with pytest.raises(ConfigError, match="no camera pair"):
         cameras.camera_factory("v4l2:0,1", blind, triggered=True)
+
+
+@pytest.mark.parametrize("unequal", [{"exposure_s": 0.010}, {"row_time_s": 2e-5}])
+def test_cameras_that_are_exposed_differently_are_refused(unequal: dict[str, float], airframe: Airframe) -> None:
+    """Every kind is opened and stamped by the left camera's."""
+    assert airframe.right_camera is not None
+    other = dataclasses.replace(airframe, right_camera=dataclasses.replace(airframe.right_camera, **unequal))
+    for spelling in ("v4l2:0,1", "oak:CAM_B,CAM_C"):
+        with pytest.raises(ConfigError, match="exposure_s and row_time_s of left_camera and right_camera"):
+            cameras.camera_factory(spelling, other, triggered=True)
+
+
+class Device:
+    """A V4L2 device as OpenCV opens it; ``asked`` is what was set on all of them."""
+
+    asked: ClassVar[list[tuple[str, int, float]]] = []
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, name: int, value: float) -> None:
+        self.asked.append((self.source, name, value))
+
+
+def test_v4l2_devices_are_asked_for_the_airframe_s_sizes(airframe: Airframe, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert airframe.right_camera is not None
+    right = dataclasses.replace(airframe.right_camera, width_px=1280, height_px=800)
+    monkeypatch.setattr("companion.adapters.cameras.video.cv2.VideoCapture", Device)
+    cameras.camera_factory("v4l2:left,right", dataclasses.replace(airframe, right_camera=right), triggered=False)()
+    width, height = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
+    sizes = [("left", width, 640), ("left", height, 480), ("right", width, 1280), ("right", height, 800)]
+    assert Device.asked == sizes
 
 
 def test_oak_devices_are_told_apart_and_follow_the_trigger_line(airframe: Airframe) -> None:

@@ -39,12 +39,17 @@ def camera_factory(
     Raises
     ------
     ConfigError
-        The spelling is none of these, the airframe has no cameras, or the software trigger is asked of other cameras
-        than DepthAI's. What opening raises, the factory raises.
+        The spelling is none of these, the airframe has no cameras or two that are exposed differently, or the software
+        trigger is asked of other cameras than DepthAI's. What opening raises, the factory raises.
     """
     left, right = airframe.left_camera, airframe.right_camera
     if left is None or right is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; leave --cameras out")
+    if (left.exposure_s, left.row_time_s) != (right.exposure_s, right.row_time_s):
+        raise ConfigError(
+            f"airframe '{airframe.name}': exposure_s and row_time_s of left_camera and right_camera must be equal, "
+            "both cameras are opened and stamped alike"
+        )
     kind, colon, where = spelling.partition(":")
     if not colon or not where:
         raise ConfigError(_unknown(spelling))
@@ -56,7 +61,7 @@ def camera_factory(
         raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
     if kind == "v4l2":
         first, second = (int(word) if word.isdigit() else word for word in _two(where, spelling))
-        return functools.partial(_v4l2, first, second, left, triggered=triggered)
+        return functools.partial(_v4l2, (first, second), (left, right), triggered=triggered)
     if kind == "folder":
         return functools.partial(_folder, Path(where), left)
     if kind == "video":
@@ -95,13 +100,19 @@ def _oak_timing(camera: Camera, triggered: bool) -> OakTiming:
     )
 
 
-def _v4l2(left: int | str, right: int | str, camera: Camera, *, triggered: bool) -> CameraPair:
+def _v4l2(devices: tuple[int | str, int | str], pair: tuple[Camera, Camera], *, triggered: bool) -> CameraPair:
     """The driver stamps the end of the first row's exposure; from there back to the middle of the middle row's."""
+    camera, other = pair  # exposed alike
     to_middle_s = 0.5 * camera.row_time_s * (camera.height_px - 1) - 0.5 * camera.exposure_s
     exposure_ns, row_ns = _times(camera)
     shift_ns = round(to_middle_s * 1e9)
     return CapturePair(
-        left, right, exposure_ns=exposure_ns, row_time_ns=row_ns, stamp_to_middle_ns=shift_ns, triggered=triggered
+        *devices,
+        exposure_ns=exposure_ns,
+        row_time_ns=row_ns,
+        stamp_to_middle_ns=shift_ns,
+        triggered=triggered,
+        sizes_px=((camera.width_px, camera.height_px), (other.width_px, other.height_px)),
     )
 
 

@@ -23,7 +23,8 @@ class CapturePair:
 
     ``left`` and ``right`` are device numbers, device paths or files. The stamps are on ``clock``: HOST for devices, the
     hub's name for files. ``start_ns`` is added to every stamp of a file, whose stamps begin at 0. A ``triggered`` pair
-    gives no frames while nothing triggers it; it is gone when its devices are.
+    gives no frames while nothing triggers it; it is gone when its devices are. Devices are
+    asked for images of ``sizes_px`` (width and height, left and right), files have theirs.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class CapturePair:
         stamp_to_middle_ns: int = 0,
         start_ns: int = 0,
         triggered: bool = False,
+        sizes_px: tuple[tuple[int, int], tuple[int, int]] | None = None,
     ) -> None:
         if triggered:  # else OpenCV waits 10 s for a frame; read when a device is opened
             os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
@@ -46,6 +48,9 @@ class CapturePair:
         self._shift_ns = stamp_to_middle_ns + start_ns
         self._captures = [_opened(source) for source in (left, right)]
         self._live = not any(isinstance(source, Path) or Path(str(source)).is_file() for source in (left, right))
+        if self._live and sizes_px is not None:
+            for capture, size_px in zip(self._captures, sizes_px, strict=True):
+                _ask_for_size(capture, size_px)
         self._sequence = 0
 
     def poll(self, timeout_s: float) -> list[Frame]:  # noqa: ARG002 - OpenCV waits for the frame itself
@@ -92,6 +97,12 @@ def _opened(source: int | str | Path) -> Any:
     if not capture.isOpened():
         raise DeviceError(f"cannot open camera or video {source}")
     return capture
+
+
+def _ask_for_size(capture: Any, size_px: tuple[int, int]) -> None:
+    """Ask a device for a size, or OpenCV has it at 640 x 480; what it gives instead is seen in its images."""
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
 
 
 def _grey(image: Any) -> Bytes:
