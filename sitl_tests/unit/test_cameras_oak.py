@@ -106,7 +106,7 @@ def test_a_depthai_frame_becomes_ours() -> None:
     frame = frame_of(image, Side.RIGHT, OakTiming(exposure_us=1500, row_time_ns=12), dai)
     assert frame.row_time_ns == 12
     assert (frame.side, frame.sequence, frame.clock) == (Side.RIGHT, 9, ClockName.HOST)
-    assert frame.mid_exposure_ns == 12_345_678_000
+    assert frame.mid_exposure_ns == 12_345_678_000 + 18  # from the first of four rows to the middle, 1.5 rows on
     assert frame.exposure_ns == 1_500_000
     assert np.array_equal(frame.image, np.arange(24).reshape(4, 6))
 

@@ -212,19 +212,25 @@ def configure(control: Any, timing: OakTiming, dai: Any) -> None:
 
 
 def frame_of(image: Any, side: Side, timing: OakTiming, dai: Any) -> Frame:
-    """Our record of a ``dai.ImgFrame``: middle of the exposure on the host's clock, exposure as reported."""
+    """Our record of a ``dai.ImgFrame``: middle of the exposure on the host's clock, exposure as reported.
+
+    The library's stamp is the end of the exposure, of a rolling shutter that of the first row's: its maker says so at
+    github.com/luxonis/depthai/issues/795, no such sensor was connected. Half the rows lead from the middle of the first
+    row's exposure to that of the middle row's, which a :class:`companion.records.Frame` is stamped by.
+    """
     middle: datetime.timedelta = image.getTimestamp(dai.CameraExposureOffset.MIDDLE)
     exposure: datetime.timedelta = image.getExposureTime()
     exposure_ns = _nanoseconds(exposure) or 1000 * timing.exposure_us
+    pixels = np.ascontiguousarray(image.getCvFrame(), dtype=np.uint8)
     return Frame(
         side=side,
         sequence=int(image.getSequenceNum()),
         clock=ClockName.HOST,
-        mid_exposure_ns=_nanoseconds(middle),
+        mid_exposure_ns=_nanoseconds(middle) + timing.row_time_ns * (pixels.shape[0] - 1) // 2,
         exposure_ns=exposure_ns,
         row_time_ns=timing.row_time_ns,
         plan_id=PLAN_UNKNOWN,
-        image=np.ascontiguousarray(image.getCvFrame(), dtype=np.uint8),
+        image=pixels,
     )
 
 
