@@ -89,11 +89,37 @@ def test_contradictory_axes_are_named(axes: tuple[str, str, str], nadir: Airfram
         ({"distortion": (0.1, 0.2)}, "distortion needs 5"),
         ({"position_m": (0.0, 0.99, 0.0)}, "smaller position_m y"),
         ({"axes": ("y", "z", "x")}, "45 degrees"),
+        ({"axes": ("-y", "x", "z")}, "rolled by 180 degrees against each other"),
+        ({"axes": ("x", "y", "z")}, "rolled by 90 degrees"),
+        ({"rotation_rad": (0.0, 0.0, -0.23)}, "rolled by 13 degrees"),
+        ({"focal_px": Uncertain(930.0)}, r"a factor of 1\.16"),
+        ({"focal_px": Uncertain(640.0)}, r"a factor of 1\.25"),
+        ({"focal_ratio": 0.8}, r"a factor of 1\.25"),
     ],
 )
 def test_impossible_cameras_are_refused_by_name(change: dict[str, object], message: str, nadir: Airframe) -> None:
     with pytest.raises(ConfigError, match=message):
         Rig.from_airframe(_changed(nadir, **change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rotation_rad": (0.0, 0.0, 0.2)},
+        {"rotation_rad": (0.0, 0.6, 0.0)},  # toed in: no roll
+        {"rotation_rad": (0.4, 0.0, 0.0)},
+        {"focal_px": Uncertain(910.0)},
+    ],
+)
+def test_cameras_that_see_alike_are_a_pair(change: dict[str, object], nadir: Airframe) -> None:
+    assert Rig.from_airframe(_changed(nadir, **change)).baseline_m > 0.0
+
+
+@pytest.mark.parametrize("axes", [("-y", "x", "z"), ("x", "y", "z")])
+def test_both_cameras_may_be_mounted_the_other_way_up(axes: tuple[str, str, str], nadir: Airframe) -> None:
+    turned = _changed(nadir, axes=axes)
+    right = dataclasses.replace(_camera(nadir.right_camera), axes=axes)
+    assert Rig.from_airframe(dataclasses.replace(turned, right_camera=right)).baseline_m > 0.0
 
 
 def test_cameras_that_look_along_the_baseline_are_refused(nadir: Airframe) -> None:

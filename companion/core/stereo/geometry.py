@@ -19,6 +19,9 @@ from companion.records import Floats, Side
 
 _AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3 (convention)
+# measured: of 183 matches of level cameras 114 are left at 10 degrees, none at 20
+_MOST_ROLL_RAD = np.radians(12.0)
+_MOST_SCALE_RATIO = 1.15  # measured: of 183 matches of equal pixels 30 are left at 1.25, none at 1.5
 # A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
 # numerical: steps at most, and a residual by which rounding rules
 _UNDISTORT_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-14)
@@ -241,3 +244,25 @@ def _check_pair(left: MountedCamera, right: MountedCamera, name: str) -> None:
     baseline = apart / np.linalg.norm(apart)
     if abs(float(baseline @ (look_left + look_right))) / 2.0 > np.cos(np.radians(30.0)):
         raise ConfigError(f"airframe '{name}': the cameras look along their baseline, no range can be measured")
+    _check_alike(left, right, name)
+
+
+def _check_alike(left: MountedCamera, right: MountedCamera, name: str) -> None:
+    """Refuse images that show the same texture too differently to be matched: rolled, or of another scale."""
+    axes = epipolar_axes(left.rest, right.rest)
+    rows = [axes @ camera.rest.camera_from_body[0] for camera in (left, right)]
+    turned_rad = np.subtract(*(np.arctan2(row[1], row[0]) for row in rows))
+    roll_rad = abs(float(np.arctan2(np.sin(turned_rad), np.cos(turned_rad))))
+    if roll_rad > _MOST_ROLL_RAD:
+        raise ConfigError(
+            f"airframe '{name}': the cameras are rolled by {np.degrees(roll_rad):.0f} degrees against each other, and "
+            f"are not matched beyond {np.degrees(_MOST_ROLL_RAD):.0f}; mount both the same way up, and give "
+            "axes and rotation_rad as mounted"
+        )
+    ratios = np.diag(left.lens.matrix)[:2] / np.diag(right.lens.matrix)[:2]
+    ratio = float(np.max(np.maximum(ratios, 1.0 / ratios)))
+    if ratio > _MOST_SCALE_RATIO:
+        raise ConfigError(
+            f"airframe '{name}': the focal lengths of the cameras differ by a factor of {ratio:.2f}, and images are "
+            f"not matched beyond {_MOST_SCALE_RATIO:g}; use the same lens twice, or scale the larger images down"
+        )
