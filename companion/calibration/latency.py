@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.trigger.latency import to_middle_s
 from companion.errors import RecordingError
+from companion.params.airframe import Camera
 from companion.records import ClockName, Floats, MatchSet, Record, Shot
 from companion.units import MAD_TO_SIGMA
 
@@ -28,21 +30,25 @@ class Latency:
     shots: int
 
 
-def trigger_latency(records: Iterable[Record]) -> Latency:
+def trigger_latency(records: Iterable[Record], cameras: tuple[Camera, Camera]) -> Latency:
     """Pair shots with exposures, by plan where the cameras know it, else by time.
+
+    ``cameras`` are the left and the right one of the airframe that recorded: the stamps are of the middle of the middle
+    row's exposure, and the latency is to the start of the first row's, as the flight's latency model has it.
 
     Raises
     ------
     RecordingError
         Fewer than ten shots have an exposure within 0.2 s on the host's clock.
     """
+    to_middle_ns = np.array([round(to_middle_s(camera) * 1e9) for camera in cameras], dtype=np.int64)
     fired: dict[int, int] = {}
     late: list[tuple[float, float]] = []
     for record in records:
         if isinstance(record, Shot):
             fired[record.plan_id] = record.fired_host_ns
         elif isinstance(record, MatchSet) and record.clocks == (ClockName.HOST, ClockName.HOST):
-            start_ns = record.mid_exposure_ns - record.exposure_ns // 2
+            start_ns = record.mid_exposure_ns - to_middle_ns
             fired_ns = fired.get(record.plan_id, _before(fired, int(start_ns.min())))
             if fired_ns is not None and 0 <= int(start_ns.min()) - fired_ns <= _LONGEST_S * 1e9:
                 late.append((1e-9 * (int(start_ns[0]) - fired_ns), 1e-9 * (int(start_ns[1]) - fired_ns)))

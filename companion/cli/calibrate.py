@@ -161,7 +161,7 @@ def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
             f"{options.recording}: recorded by airframe '{recording.airframe.name}', not by '{base.name}'; "
             "give the airframe whose cameras it has"
         )
-    result = trigger_latency(recording.records())
+    result = trigger_latency(recording.records(), recording.airframe.camera_pair)
     cameras: list[Camera] = []
     for side, camera in zip(Side, pair, strict=True):
         median, sigma, p99 = (float(values[side]) for values in (result.median_s, result.sigma_s, result.p99_s))

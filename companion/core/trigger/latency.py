@@ -169,9 +169,14 @@ class LatencyModel:
         return min(earlier, key=lambda fired: abs(fired - expected), default=None)
 
 
+def to_middle_s(camera: Camera) -> float:
+    """Time from the start of the first row's exposure to the middle of the middle row's, which stamps tell."""
+    return camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
+
+
 def _path(camera: Camera | None) -> _TriggerPath:
     if camera is None:
         return _TriggerPath(0.0, 0.0)
-    middle_s = camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
+    middle_s = to_middle_s(camera)
     sigma_ns = max(camera.latency_s.sigma * 1e9, _LEAST_SPREAD_NS)
     return _TriggerPath((camera.latency_s.value + middle_s) * 1e9, sigma_ns, to_middle_ns=middle_s * 1e9)
