@@ -130,7 +130,16 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
     lonely = {str(t): "only one camera has this image" for t in left.keys() ^ right.keys()}
     if not both:
         raise ConfigError(f"{folder}: no stamp has an image of both cameras")
-    return [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both], lonely
+    pairs = [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both]
+    rows, columns = pairs[0][1].shape
+    for name, *images in pairs:
+        for side, image in zip(Side, images, strict=True):
+            if image.shape != (rows, columns):
+                raise ConfigError(
+                    f"{folder}: {name} in cam{int(side)} is {image.shape[1]} x {image.shape[0]} px, the first image of "
+                    f"cam0 {columns} x {rows} px: set both cameras to the size that is flown, take all images anew"
+                )
+    return pairs, lonely
 
 
 def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:

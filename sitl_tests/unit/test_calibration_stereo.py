@@ -317,3 +317,14 @@ def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_
     sigma_rad = toe_sigma_rad(fit)
     assert error_rad < 3.5 * sigma_rad
     assert sigma_rad < fit.rotation_sigma_rad[1], "yaw and principal points make up for each other"
+
+
+def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:
+    for camera, size_px in (("cam0", SIZE), ("cam1", (2 * SIZE[0], 2 * SIZE[1]))):
+        (tmp_path / camera).mkdir()
+        cv2.imwrite(str(tmp_path / camera / "1000.png"), np.zeros(size_px[::-1], np.uint8))
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    words = ["stereo", str(tmp_path), "--square-m", "0.04", "--airframe", "forward-2m", "--out", str(tmp_path / "out")]
+    with pytest.raises(ConfigError, match=r"in cam1 is 1280 x 960 px, the first image of cam0 640 x 480 px"):
+        calibrate.execute(parser.parse_args(words))
