@@ -32,9 +32,8 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
     unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name, now_ns).synced]
     if state.validity is None:
         return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
-    lost = f"lost sync with {', '.join(unsynced)}" if unsynced else ""
-    if lost and not tracked(state):
-        return Health.CRITICAL, lost
+    if unsynced:
+        return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
     if state.scheduling is not None and state.scheduling.blind(now_ns):
         return Health.CRITICAL, NO_PAIRS
     if tracked(state):
@@ -42,9 +41,7 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
         if early is not None:
             return Health.STANDBY, f"{state.validity}; no range yet: {early}"
         silence = state.silence.reason(state.settings) if state.correction is not None else None
-        if silence is not None:
-            return Health.STANDBY, silence
-        return Health.ACTIVE, "; ".join(filter(None, (motion_text(state), lost)))  # one tip is enough
+        return (Health.ACTIVE, motion_text(state)) if silence is None else (Health.STANDBY, silence)
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)

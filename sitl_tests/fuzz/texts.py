@@ -119,7 +119,7 @@ def _use_settings(path: str, folder: Path) -> None:
 def _use_layout(path: str, folder: Path) -> None:
     (folder / "a.mat").write_bytes(b"")
     read_vibration_test(
-        Path(path), folder, lambda file: {"signalIn": np.random.default_rng(1).standard_normal((400, 4))}
+        Path(path), folder, lambda file: {"signalIn": np.random.default_rng(1).standard_normal((4000, 4))}
     )
 
 
