@@ -4,7 +4,7 @@ SpanwiseError                   the base; ``str()`` says what was wrong, where, 
 ├── ConfigError                 an airframe or settings file
 │   └── UnknownAirframe         no airframe of that name
 ├── RecordingError              a recording that cannot be read
-│   ├── AirframeNeededError     it does not say of which aircraft it is
+│   ├── AirframeNeeded          it does not say of which aircraft it is
 │   └── TableError              a CSV table: file, line and column are named
 ├── LinkError                   a MAVLink connection that cannot be opened or was lost
 │   └── LinkDown                it is spelled well, and nothing is at its other end now
@@ -42,7 +42,7 @@ class RecordingError(SpanwiseError):
     """A recording cannot be opened, or holds nothing that can be used."""
 
 
-class AirframeNeededError(RecordingError):
+class AirframeNeeded(RecordingError):
     """A recording does not say of which aircraft it is."""
 
 

@@ -8,7 +8,7 @@ import sys
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import add_recording, open_given
-from companion.errors import NOTHING_TO_ESTIMATE, AirframeNeededError
+from companion.errors import NOTHING_TO_ESTIMATE, AirframeNeeded
 from companion.evaluation.recording_info import lines, summarise
 from companion.params.files import load_airframe
 
@@ -32,7 +32,7 @@ def _opened(options: argparse.Namespace) -> Recording:
     """The recording; a foreign log whose airframe is not given as another aircraft's, which is said."""
     try:
         return open_given(options)
-    except AirframeNeededError:
+    except AirframeNeeded:
         said = f"no --airframe: read as {_STAND_IN}, the autopilot's own IMUs 1, 2 and 3 as root, left and right"
         print(f"note: {said}", file=sys.stderr)
         return open_recording(options.recording, load_airframe(_STAND_IN))

@@ -14,7 +14,7 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.adapters.recordings.tables.tables_readme import is_converted
-from companion.errors import AirframeNeededError, RecordingError
+from companion.errors import AirframeNeeded, RecordingError
 from companion.params.airframe import Airframe
 
 _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
@@ -91,5 +91,5 @@ def _check_folder(path: Path) -> None:
 
 def _needed(airframe: Airframe | None, path: Path) -> Airframe:
     if airframe is None:
-        raise AirframeNeededError(f"{path}: does not say of which aircraft it is; give its airframe (--airframe NAME)")
+        raise AirframeNeeded(f"{path}: does not say of which aircraft it is; give its airframe (--airframe NAME)")
     return airframe
