@@ -141,8 +141,6 @@ def _try_links(config: ServiceConfig) -> list[str]:
     Sentences are of links that are down; where all are, the first of them is raised.
     """
     clock = MonotonicClock()
-    if config.signing_key is not None:
-        load_signing(config.signing_key, clock)
     down: list[LinkDown] = []
     for number, spelling in enumerate(config.connections):
         try:

@@ -82,9 +82,7 @@ def findings(rows: Rows) -> list[str]:
     recurring: list[tuple[float, str]] = []
     for airframe, flights in _by_aircraft(rows).items():
         recurring += _recurring_effects(airframe, flights)
-        complete = [
-            row for row in flights if not row.get("incomplete")
-        ]  # what a file has lost, no sensor is to blame for
+        complete = [row for row in flights if not row.get("incomplete")]  # no sensor lost what a file lacks
         measured = {figure: complete if figure in _SENSORS else flights for figure in _FIGURES}
         tried = sum(len(figure.values(judged)) >= _THIRDS_FEWEST for figure, judged in measured.items())
         for figure, judged in measured.items():
