@@ -91,9 +91,8 @@ def adjust(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Fl
             break
     normal, _, _ = _normal_equations(observed, points_m, shared, boards)
     residuals = [tuple(_view(pair, points_m, shared, board)[0]) for pair, board in zip(observed, boards, strict=True)]
-    total = float(sum(np.sum(residual**2) for pair in residuals for residual in pair))
     count = sum(residual.size for pair in residuals for residual in pair)
-    variance = total / max(count - SHARED - boards.size, 1)
+    variance = least / max(count - SHARED - boards.size, 1)
     covariance = variance * _scaled_solve(normal, np.eye(SHARED))
     return Bundle(shared, covariance, boards, [(left, right) for left, right in residuals])
 
