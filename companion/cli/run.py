@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 import time
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from companion.cli.steps.live_view import add_live, read_live
 from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
+from companion.cli.terminal.progress import say
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
@@ -117,7 +117,7 @@ def _with_kept_latency(airframe: Airframe, options: argparse.Namespace) -> Airfr
     learned = with_latency(airframe, stored, _path(options))
     if stored is not None and learned is not airframe:
         latencies = " and ".join(f"{1e3 * side.value:.2f} +- {1e3 * side.sigma:.2f} ms" for side in stored.latency_s)
-        print(f"trigger latency of the last flight: {latencies} ({stored.shots} shots)", file=sys.stderr)
+        say(f"trigger latency of the last flight: {latencies} ({stored.shots} shots)")
     return learned
 
 
@@ -156,7 +156,7 @@ class LatencyKeeper:
         except ConfigError as error:
             stored = True  # not tried again for a while
             if not self._is_told:
-                print(error, file=sys.stderr)
+                say(str(error))
             self._is_told = True
         if stored:
             self._kept_ns = self._newest.at_host_ns
@@ -193,7 +193,7 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     if config.recording is not None:
         print(_recorded(config.recording, before))
     if options.seconds and not stopped and not view.began:
-        print(f"spanwise run: nothing to estimate in {options.seconds:g} s", file=sys.stderr)
+        say(f"spanwise run: nothing to estimate in {options.seconds:g} s")
         return NOTHING_TO_ESTIMATE
     return 0
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import sys
+from pathlib import Path
 
 import pytest
 
+from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View
 from companion.cli.terminal.waiting import FIRST_REPEAT_S, LONGEST_REPEAT_S, RepeatPause, waiting_text
-from companion.records import Health, ServiceStatus
+from companion.records import Health, Record, ServiceStatus
 
 BOOT = ServiceStatus(1, Health.BOOT, "waiting for boot, node_left, node_right clock", {})
 LOOK_S = 0.25
@@ -80,3 +84,35 @@ def test_the_view_shows_what_is_waited_for_and_nothing_else() -> None:
 def test_a_view_with_a_progress_of_its_own_waits_for_nobody() -> None:
     view = View("spanwise demo", progress="3 of 60 s")
     assert view.line(1.0) == "3 of 60 s  state starting"
+
+
+class Unheard:
+    """A service that runs for some looks, and says a sentence at each."""
+
+    def __init__(self) -> None:
+        self.looks = 0
+
+    def shown(self) -> list[Record]:
+        self.looks += 1
+        return []
+
+    def tend(self) -> list[str]:
+        return ["process vision ended and is started again"]
+
+    def failed(self) -> list[str]:
+        return []
+
+    def __enter__(self) -> object:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_an_error_output_that_cannot_be_written_ends_no_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    service = Unheard()
+    with contextlib.suppress(OSError), Path("/dev/full").open("w") as full:  # closing it fails, too
+        monkeypatch.setattr(sys, "stderr", full)
+        fly(service, View("spanwise run"), lambda: service.looks > 3, live=False, wait=lambda _: None)
+        monkeypatch.undo()
+    assert service.looks == 4

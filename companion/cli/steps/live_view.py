@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from companion.cli.steps.options import state_file
+from companion.cli.terminal.progress import say
 from companion.live.about import INTERRUPTIONS
 from companion.live.broadcaster import require_live
 from companion.live.config import DEFAULT_ADDRESS, LiveConfig, live_config
@@ -39,10 +39,9 @@ def read_live(options: argparse.Namespace, recording: Path | None) -> LiveConfig
 
 def say_where(config: LiveConfig) -> None:
     """Print every address that opens the page, and where the token is kept if they have it."""
-    print(f"live view: {f'{chr(10)}           '.join(config.urls)}", file=sys.stderr)
+    say(f"live view: {f'{chr(10)}           '.join(config.urls)}")
     if not config.is_loopback:
-        print(f"           (the token is in {config.token_place})", file=sys.stderr)
-    sys.stderr.flush()
+        say(f"           (the token is in {config.token_place})")
 
 
 @contextmanager

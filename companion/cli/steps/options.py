@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.terminal.progress import say
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
 from companion.params.persist import load_stored
@@ -71,13 +71,13 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
         return settings
     stored = load_stored(path)
     for problem in stored.problems:
-        print(problem, file=sys.stderr)
+        say(problem)
     values, problems = settings.agreeing(stored.values)
     for problem in problems:
-        print(f"{path}: {problem}", file=sys.stderr)
+        say(f"{path}: {problem}")
     if values:
         listed = ", ".join(f"{name} {value:g}" for name, value in sorted(values.items()))
-        print(f"set from a ground station: {listed} (kept in {path})", file=sys.stderr)
+        say(f"set from a ground station: {listed} (kept in {path})")
     return settings.with_values(values)
 
 

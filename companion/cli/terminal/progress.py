@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
@@ -15,8 +16,9 @@ _LINE_S = 5.0  # chosen: a log that is read later stays short
 
 
 def say(sentence: str) -> None:
-    """Print a sentence on standard error, at once."""
-    print(sentence, file=sys.stderr, flush=True)
+    """Print a sentence on standard error, at once; where it cannot be written (a full disk, a closed pipe), go on."""
+    with contextlib.suppress(OSError):
+        print(sentence, file=sys.stderr, flush=True)
 
 
 class Progress:

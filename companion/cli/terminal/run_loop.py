@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from companion.cli.terminal.progress import say
 from companion.cli.terminal.status_view import View, console
 from companion.cli.terminal.waiting import RepeatPause
 from companion.errors import DeviceError
@@ -80,7 +80,7 @@ def fly(
             elif pause.due(elapsed_s, view.waiting(elapsed_s)):
                 refused = view.refusals()
                 _print([] if refused is None else [refused], elapsed_s)
-                print(view.line(elapsed_s), file=sys.stderr, flush=True)
+                say(view.line(elapsed_s))
             wait(_DRAW_S)
 
 
@@ -92,7 +92,7 @@ def _screen() -> Any:
 
 def _print(sentences: list[str], elapsed_s: float) -> None:
     for sentence in sentences:
-        print(f"{elapsed_s:6.1f} s  {sentence}", file=sys.stderr, flush=True)
+        say(f"{elapsed_s:6.1f} s  {sentence}")
 
 
 class _Lines:
