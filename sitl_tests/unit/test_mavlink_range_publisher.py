@@ -169,6 +169,16 @@ def test_what_lies_ahead_is_moved_on_by_the_speed_towards_it(
     assert distances[1] == 400, "too near to be measured by now, and still there"
 
 
+def test_ahead_no_range_is_no_free_way() -> None:
+    """PX4's collision prevention reads what is too far as a free way, and leaves out what is too near."""
+    outputs = RangePublisher(Settings(), 0)
+    message = sent(outputs.messages(none(0, 0), 0, 0)[0])
+    assert min(message.current_distance, message.max_distance) <= message.min_distance
+    assert message.signal_quality == 1
+    unsure = dataclasses.replace(measured(1000 * MS, trusted=False), orientation=0)
+    assert sent(outputs.messages(unsure, 0, 1000 * MS)[0]).current_distance == 0
+
+
 def test_sectors_stand_until_nothing_was_known_for_as_long_as_of_a_range() -> None:
     """Sky on the axis and a tree beside it: pairs bring sectors and no range, in turn with "alive, no range"."""
     outputs = RangePublisher(Settings(), 0)

@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
+from companion.units import Orientation
 
 SECTORS = 72  # length of OBSTACLE_DISTANCE.distances (MAVLink common.xml)
 _SECTOR_DEG = 5  # 360 degrees over 72 sectors (derived)
@@ -62,9 +63,15 @@ def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boo
 
 
 def no_range(orientation: int, min_m: float, max_m: float, time_boot_ms: int) -> Any:
-    """DISTANCE_SENSOR that says "alive, no range": one centimetre beyond the largest distance, with quality 1."""
-    least, most = _limits_cm(min_m, max_m)
-    return _distance(orientation, (least, most), most + 1, _UNKNOWN_COVARIANCE, NO_RANGE_QUALITY, time_boot_ms)
+    """DISTANCE_SENSOR that says "alive, no range", with quality 1.
+
+    Downward one centimetre beyond the largest distance. Ahead 0: PX4's collision prevention takes what is too far for
+    a free way, whatever its quality, and passes over what is too near, until its map knows nothing. ArduPilot's
+    proximity knows nothing ahead by either, and arms with both.
+    """
+    limits_cm = _limits_cm(min_m, max_m)
+    distance_cm = limits_cm[1] + 1 if orientation == Orientation.DOWN else 0
+    return _distance(orientation, limits_cm, distance_cm, _UNKNOWN_COVARIANCE, NO_RANGE_QUALITY, time_boot_ms)
 
 
 def _distance(
