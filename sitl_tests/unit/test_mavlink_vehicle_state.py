@@ -77,3 +77,20 @@ def test_a_copy_by_a_slow_link_is_no_reboot() -> None:
     radio.hear(10_500, attitude(58_000))
     (state,) = radio.hear(10_600, attitude(60_600))
     assert state.on_ground is False
+
+
+@pytest.mark.parametrize(("silent_s", "grounded"), [(4, True), (6, False)])
+def test_a_landed_state_that_is_no_longer_told_gives_way_to_the_heartbeat(silent_s: int, grounded: bool) -> None:
+    radio = Radio()
+    radio.hear(10_000, beat(), landed(GROUNDED))
+    (state,) = radio.hear(1_000 * (10 + silent_s), beat(), AIR, attitude(5_000))
+    assert state.on_ground is grounded
+
+
+@pytest.mark.parametrize(("silent_s", "moves"), [(4, False), (6, True)])
+def test_a_filter_that_was_astray_long_ago_forbids_no_velocity(silent_s: int, moves: bool) -> None:
+    radio = Radio()
+    radio.hear(10_000, beat(), mavlink.MAVLink_ekf_status_report_message(0, 0, 0, 0, 0, 0))
+    velocity = mavlink.MAVLink_global_position_int_message(5_000, 470000000, 80000000, 0, 0, 2200, 0, 0, 0)
+    (state,) = radio.hear(1_000 * (10 + silent_s), velocity, AIR, attitude(5_000))
+    assert (state.velocity_ned_mps is not None) is moves

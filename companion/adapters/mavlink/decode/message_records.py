@@ -36,6 +36,9 @@ _ACCURACY_AGE_NS = 3_000_000_000
 # airspeed and climb that are older are not those of the attitude: a downward range is moved on by the climb; every
 # profile of streams has VFR_HUD at 1 Hz at least (choice)
 _AIR_AGE_NS = 3_000_000_000
+# a landed state or a filter's flags that are older say nothing any more: both come at 1 Hz at least where they are
+# streamed, but for PX4's MINIMAL profile (choice)
+_WITNESS_AGE_NS = 5_000_000_000
 # a boot time that falls by more is another boot's: copies by a slow link are seconds late (choice)
 _REBOOT_MS = 10_000
 # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share; bit 10 means "uninitialised" there, "GPS glitch" here
@@ -90,23 +93,24 @@ def parameter_encoding(value: float, *, integer: bool) -> tuple[float, int]:
 class GroundWitness:
     """Whether an autopilot says that it is on the ground.
 
-    EXTENDED_SYS_STATE tells it (PX4 sends it unasked). Without, the heartbeat's system status: ArduPlane is in standby
-    until it flies and after it has landed, PX4 while it is disarmed.
+    EXTENDED_SYS_STATE tells it (PX4 sends it unasked). Without, and 5 s after the last, the heartbeat's system status:
+    ArduPlane is in standby until it flies and after it has landed, PX4 while it is disarmed.
     """
 
     def __init__(self) -> None:
-        self._landed: bool | None = None
+        self._landed: tuple[bool, int] | None = None
         self._standby: bool | None = None
 
-    @property
-    def verdict(self) -> bool | None:
+    def verdict(self, now_host_ns: int) -> bool | None:
         """None where nothing has told it."""
-        return self._standby if self._landed is None else self._landed
+        if self._landed is None or now_host_ns - self._landed[1] > _WITNESS_AGE_NS:
+            return self._standby
+        return self._landed[0]
 
-    def landed_state(self, state: int) -> None:
+    def landed_state(self, state: int, received_host_ns: int) -> None:
         """Take MAV_LANDED_STATE; an undefined one tells nothing."""
         if state != mavlink.MAV_LANDED_STATE_UNDEFINED:
-            self._landed = state == mavlink.MAV_LANDED_STATE_ON_GROUND
+            self._landed = state == mavlink.MAV_LANDED_STATE_ON_GROUND, received_host_ns
 
     def system_status(self, state: int) -> None:
         """Take MAV_STATE; critical and emergency are of both, and change nothing."""
@@ -118,12 +122,12 @@ class GroundVelocity:
     """Velocity over ground as the autopilot's navigation filter has it, where it has one.
 
     Without a position GLOBAL_POSITION_INT is sent all the same, with zeros. ArduPilot's EKF_STATUS_REPORT and PX4's
-    ESTIMATOR_STATUS say whether the velocity is good; where neither is sent, it counts as good.
+    ESTIMATOR_STATUS say whether the velocity is good; where neither was sent for 5 s, it counts as good.
     """
 
     def __init__(self) -> None:
         self._newest: Any = None
-        self._good = True
+        self._astray_host_ns: int | None = None
         self._accuracy: tuple[float, int] | None = None
 
     def receiver(self, message: Any, received_host_ns: int) -> None:
@@ -141,14 +145,17 @@ class GroundVelocity:
         """Take GLOBAL_POSITION_INT."""
         self._newest = message
 
-    def status(self, flags: int) -> None:
+    def status(self, flags: int, received_host_ns: int) -> None:
         """Take the flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
-        self._good = flags & _NAVIGATES == _NAVIGATES and not flags & _ASTRAY
+        is_good = flags & _NAVIGATES == _NAVIGATES and not flags & _ASTRAY
+        self._astray_host_ns = None if is_good else received_host_ns
 
-    def ned_mps(self, boot_ms: int) -> tuple[float, float, float] | None:
+    def ned_mps(self, boot_ms: int, now_host_ns: int) -> tuple[float, float, float] | None:
         """North, east, down at a boot time; None where nothing new and good is told."""
-        newest = self._newest
-        if not self._good or newest is None or abs(boot_ms - newest.time_boot_ms) > _VELOCITY_AGE_MS:
+        newest, astray_host_ns = self._newest, self._astray_host_ns
+        if astray_host_ns is not None and now_host_ns - astray_host_ns <= _WITNESS_AGE_NS:
+            return None
+        if newest is None or abs(boot_ms - newest.time_boot_ms) > _VELOCITY_AGE_MS:
             return None
         if newest.lat == newest.lon == 0 or newest.vx == newest.vy == 0:
             return None
@@ -214,9 +221,9 @@ class Translator:
         elif name == "GPS_RAW_INT":
             self._velocity.receiver(heard.message, heard.received_host_ns)
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
-            self._velocity.status(heard.message.flags)
+            self._velocity.status(heard.message.flags, heard.received_host_ns)
         elif name == "EXTENDED_SYS_STATE":
-            self._on_ground.landed_state(heard.message.landed_state)
+            self._on_ground.landed_state(heard.message.landed_state, heard.received_host_ns)
         elif name == "PARAM_VALUE":
             yield from self._parameter(heard)
         elif name == "CAMERA_FEEDBACK":
@@ -291,8 +298,8 @@ class Translator:
             air.climb,
             air.throttle / 100.0,
             self.armed,
-            self._on_ground.verdict,
-            self._velocity.ned_mps(message.time_boot_ms),
+            self._on_ground.verdict(heard.received_host_ns),
+            self._velocity.ned_mps(message.time_boot_ms, heard.received_host_ns),
             self._velocity.sigma_mps(heard.received_host_ns),
         )
 
