@@ -414,6 +414,9 @@ def test_a_shot_that_the_autopilot_refuses_is_told_as_a_failed_device() -> None:
     bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, mavlink.MAV_RESULT_ACCEPTED, target_component=191))
     bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, 4, target_component=191), component=200)
     assert not [record for record in bench.fly(0.1) if isinstance(record, Rejected)]
+    for system, component in ((255, 190), (3, 100), (255, 191)):  # a ground station's picture, another companion's
+        bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, 4, 0, 0, system, component))
+    assert not [record for record in bench.fly(0.1) if isinstance(record, Rejected)]
     bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, mavlink.MAV_RESULT_FAILED, target_component=191))
     (refused,) = [record for record in bench.fly(0.1) if isinstance(record, Rejected)]
     assert refused.reason is Reject.DEVICE_FAILED

@@ -256,17 +256,22 @@ class MavlinkAutopilot:
     def _acknowledge_shot(self, heard: Heard, now_host_ns: int) -> None:
         """A shot that the autopilot refuses is a device that failed: counted and told, not mistaken for a late one."""
         result = heard.message.result
-        if self._from_autopilot(heard) and result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+        done = result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+        if self._answers_us(heard) and not done:
             what = f"autopilot refused to fire (command {heard.message.command}, result {result})"
             self._unfired.append(Rejected(Reject.DEVICE_FAILED, what, now_host_ns))
 
     def _from_autopilot(self, heard: Heard) -> bool:
         return (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
 
+    def _answers_us(self, heard: Heard) -> bool:
+        """Whether an acknowledgement is the autopilot's, and for us: 0 is for everyone."""
+        system, component = heard.message.target_system, heard.message.target_component
+        to_us = system in (0, self._sender.system) and component in (0, self._settings.component_id)
+        return self._from_autopilot(heard) and to_us
+
     def _is_ours(self, heard: Heard) -> bool:
-        message = heard.message
-        to_us = message.target_component in (0, self._settings.component_id)
-        return self._from_autopilot(heard) and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        return self._answers_us(heard) and heard.message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 
     def set_own_parameter(self, name: str, value: float) -> None:
         """Set one of our own parameters for who is no ground station."""
