@@ -292,6 +292,18 @@ def test_a_file_that_cannot_even_begin_does_not_stay(tmp_path: Path, monkeypatch
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_disk_on_which_nothing_can_be_removed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(*_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(recorder_room, "remove_oldest", read_only)
+    monkeypatch.setattr(recorder_room, "_on_terminate", lambda: [signal.SIGTERM])
+    _client, end = recorder_channel()
+    said: list[str] = []
+    keep_recording(tmp_path / "a.mcap", ABOUT, [end], said.append, keep_bytes=1000)
+    assert said == [f"not recording: {tmp_path / 'a.mcap'}: Read-only file system"]
+
+
 def _deaf(_: object) -> None:
     """A worker that hears neither the flag nor SIGTERM."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -38,8 +38,8 @@ def keep_recording(
     once a second it is forced to the disk, so that a power cut costs some two seconds.
     SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
     with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
-    the name. Where the disk is full, ``say`` is told so; what comes is thrown away, and every half minute a file is
-    tried again: the service flies on.
+    the name. Where the disk is full or read only, ``say`` is told so; what comes is thrown away, and every half minute
+    a file is tried again: the service flies on.
     With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
     finished and followed by a further part, and the oldest ones are removed.
     """
@@ -54,8 +54,9 @@ def keep_recording(
                 described = dataclasses.replace(about, part_number=part_number)
                 if _write_file(path, described, selector, stop, terminated, part_bytes):
                     return
-            except RecordingError as error:
-                say(f"not recording: {error}")
+            except (RecordingError, OSError) as error:
+                what = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
+                say(f"not recording: {what}")
                 if _discard(selector, stop, terminated):
                     return
             part_number += 1
