@@ -55,8 +55,8 @@ class Service(Supervisor):
         super().__init__(MonotonicClock())
         _check_settings(config)
         self._unsaid = _try_links(config)
-        self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-")
-        if config.parameters is None:  # what is set must outlive a restart of the process, if not of the service
+        self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-") if config.parameters is None else None
+        if self._scratch is not None:  # what is set must outlive a restart of the process, if not of the service
             config = dataclasses.replace(config, parameters=Path(self._scratch.name) / "parameters")
         shown_in, self._shown = channel()
         matches_in, matches = channel()
@@ -117,7 +117,8 @@ class Service(Supervisor):
         super().stop()
         if self._listening is not None:
             self._listening.close()
-        self._scratch.cleanup()
+        if self._scratch is not None:
+            self._scratch.cleanup()
 
 
 class _NoShots:

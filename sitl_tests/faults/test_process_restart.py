@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -98,6 +100,17 @@ class Deaf:
 
     def close(self) -> None:
         pass
+
+
+def test_a_full_temporary_folder_stops_no_service_that_keeps_its_parameters(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", full)
+    links = (f"udpin:127.0.0.1:{port}",)
+    Service(ServiceConfig(load_airframe("nadir-2m"), Settings(), links, parameters=tmp_path / "parameters")).stop()
 
 
 @pytest.mark.realtime
