@@ -57,7 +57,8 @@ class Log:
 
     def close(self) -> None:
         """Finish the file."""
-        self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
 
 
 class Track:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import signal
 import subprocess
@@ -21,7 +22,8 @@ class Tap:
     """Writes every MAVLink frame of a link to a tlog. The bytes come from MAVSDK's callback thread.
 
     A tlog is stamped in UTC: the file system tells when the recording began, the monotonic clock what passed since, so
-    that a step of the wall clock steps nothing here.
+    that a step of the wall clock steps nothing here. Where the disk takes no more, the file ends and the flight goes
+    on; ``trouble`` says why.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,6 +33,7 @@ class Tap:
         self._began_us = path.stat().st_mtime_ns // 1000
         self._began_ns = time.monotonic_ns()
         self._lock = threading.Lock()
+        self.trouble: str | None = None
 
     def take(self, frame: bytes) -> None:
         """One whole frame."""
@@ -38,7 +41,11 @@ class Tap:
         with self._lock:
             if self._file.closed:
                 return
-            self._file.write(stamp_us.to_bytes(8, "big") + frame)
+            try:
+                self._file.write(stamp_us.to_bytes(8, "big") + frame)
+            except OSError as error:
+                self._give_up(error)
+                return
             if len(frame) > 9 and frame[0] == _V2:
                 self.counts[frame[6], int.from_bytes(frame[7:10], "little")] += 1
             elif len(frame) > 5 and frame[0] == _V1:
@@ -47,6 +54,14 @@ class Tap:
     def close(self) -> None:
         """Finish the file; may be called again."""
         with self._lock:
+            try:
+                self._file.close()
+            except OSError as error:
+                self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        self.trouble = error.strerror
+        with contextlib.suppress(OSError):  # closed all the same; what waited in memory is lost
             self._file.close()
 
     @property

@@ -66,6 +66,8 @@ def _recorded(options: argparse.Namespace, airframe: Airframe, mission: Mission,
     finally:
         if tap is not None:
             tap.close()
+            if tap.trouble is not None:
+                log.say(f"{tap.path}: not everything was written: {tap.trouble}")
         if service is not None:
             log.say("waiting for the service to finish its recording")
             service.close()

@@ -231,6 +231,17 @@ def test_the_tap_s_file_is_a_tlog(tmp_path: Path) -> None:
     assert abs(stamps[0] - (tmp_path / "flight.tlog").stat().st_mtime) < 60.0
 
 
+@pytest.mark.parametrize("frames", [1, 1000])
+def test_a_full_disk_ends_the_tap_and_not_the_flight(frames: int) -> None:
+    """As the buffer is written, or as late as the file is closed."""
+    tap = Tap(Path("/dev/full"))
+    for _ in range(frames):
+        tap.take(b"\xfd" + bytes(80))
+    tap.close()
+    tap.close()
+    assert tap.trouble == "No space left on device"
+
+
 def test_a_mode_that_nobody_ordered_is_someone_elses_while_the_mode_is_being_changed() -> None:
     watching = guard(flying(mode=0))
     watching.mode, watching.changing = None, (10, 15)
