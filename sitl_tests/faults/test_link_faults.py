@@ -182,6 +182,37 @@ def test_calling_before_anybody_listens_goes_on_when_they_come(held: Held) -> No
     assert read(link, 3) == b"yes"
 
 
+@pytest.mark.parametrize("scheme", ["udpout", "tcp"])
+def test_a_host_whose_name_nobody_knows_yet_is_waited_for(
+    held: Held, monkeypatch: pytest.MonkeyPatch, scheme: str
+) -> None:
+    """A companion that boots before its network; asked at the start it is told."""
+    names: list[str] = []  # fills when the network comes up
+
+    def resolver(_: str) -> str:
+        if not names:
+            raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+        return names[0]
+
+    monkeypatch.setattr(socket, "gethostbyname", resolver)
+    server = held.udp() if scheme == "udpout" else held.listener()
+    spelling = f"{scheme}:autopilot.local:{server.getsockname()[1]}"
+    with pytest.raises(LinkDown, match=r"autopilot\.local' is not known"):
+        open_link(spelling, RealClock())
+    link = open_link(spelling, RealClock(), may_be_down=True)
+    held.stack.callback(link.close)
+    for _ in range(20):
+        assert link.read() is None
+        assert not link.write(b"hello")
+        time.sleep(0.01)
+    names.append("127.0.0.1")
+    begin = time.monotonic()
+    while not link.write(b"hello"):
+        link.read()
+        assert time.monotonic() - begin < 5.0
+        time.sleep(0.01)
+
+
 def test_a_flood_is_read_in_bounded_chunks_and_read_never_blocks(held: Held) -> None:
     link, port = listening(held)
     flooder = held.udp()

@@ -88,7 +88,7 @@ def open_link(
 ) -> Link:
     """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
 
-    With ``may_be_down`` a serial device or TCP server that is not there is waited for, as one that was lost.
+    With ``may_be_down`` a serial device, a TCP server or a host's name that is not there is waited for, as if lost.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _open_transport(address: LinkAddress, *, may_be_down: bool) -> Transport:
         case LinkKind.UDP_LISTEN:
             return UdpIn(address.host, address.port)
         case LinkKind.UDP_CALL:
-            return UdpOut(address.host, address.port)
+            return UdpOut(address.host, address.port, may_be_down=may_be_down)
         case LinkKind.TCP_CALL:
             return TcpClient(address.host, address.port, may_be_down=may_be_down)
         case LinkKind.TCP_LISTEN:

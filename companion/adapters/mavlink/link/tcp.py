@@ -7,6 +7,7 @@ import errno
 import select
 import socket
 
+from companion.adapters.mavlink.link.host import HostAddress
 from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.errors import LinkDown, LinkError
 
@@ -61,13 +62,10 @@ class TcpClient:
 
     def __init__(self, host: str, port: int, *, may_be_down: bool = False) -> None:
         where = f"tcp:{host}:{port}"
-        try:
-            self._address = (socket.gethostbyname(host), port)
-        except OSError as error:
-            raise LinkError(f"{where}: host '{host}' is not known; check the name or use its IP") from error
+        self._host, self._port = HostAddress(where, host, may_be_down=may_be_down), port
         self._stream: _BufferedSocket | None = None
         if not may_be_down:
-            self._stream = _BufferedSocket(_connected(where, self._address))
+            self._stream = _BufferedSocket(_connected(where, (self._host.newest() or host, port)))
         self._calling: socket.socket | None = None
         self._backoff = Backoff()
 
@@ -96,9 +94,12 @@ class TcpClient:
         if self._calling is None:
             if not self._backoff.due(now_host_ns):
                 return
+            address = self._host.newest()
+            if address is None:
+                return
             self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._calling.setblocking(False)
-            self._calling.connect_ex(self._address)
+            self._calling.connect_ex((address, self._port))
         calling = self._calling
         _, writable, _ = select.select([], [calling], [], 0)
         if not writable:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 from companion.adapters.mavlink.link.datagrams import FRAMES, GUARDED_FRAMES, DatagramReader
 from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.host import HostAddress
+from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import LinkError
@@ -187,20 +189,21 @@ def _is_station(frame: bytes) -> bool:
 
 
 class UdpOut(_Udp):
-    """Calls one address; answers from anywhere are read, for routers answer from other ports."""
+    """Calls one address; answers from anywhere are read, for routers answer from other ports.
 
-    def __init__(self, host: str, port: int) -> None:
+    With ``may_be_down`` a name that nobody knows yet is asked for again in growing pauses.
+    """
+
+    def __init__(self, host: str, port: int, *, may_be_down: bool = False) -> None:
+        self._host = HostAddress(f"udpout:{host}:{port}", host, may_be_down=may_be_down)
+        self._address, self._port = self._host.newest(), port
+        self._backoff = Backoff()
         super().__init__()
-        try:
-            self._address = (socket.gethostbyname(host), port)
-        except OSError as error:
-            self.close()
-            raise LinkError(
-                f"udpout:{host}:{port}: host '{host}' is not known; check the name or use its IP"
-            ) from error
 
-    def receive(self, limit: int, now_host_ns: int) -> bytes:  # noqa: ARG002 (part of the protocol)
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
         """Drain the socket."""
+        if self._address is None and self._backoff.due(now_host_ns):
+            self._address = self._host.newest()
         buffer, filled, receive = self._buffer, 0, self._socket.recv_into
         with contextlib.suppress(BlockingIOError):
             for _ in range(_MOST_DATAGRAMS):
@@ -214,7 +217,7 @@ class UdpOut(_Udp):
 
     def send(self, data: bytes) -> bool:
         """Send to the address."""
-        return self._send_to(data, self._address)
+        return self._address is not None and self._send_to(data, (self._address, self._port))
 
 
 def _bind_advice(host: str, port: int, error: OSError) -> str:
