@@ -233,6 +233,11 @@ def test_an_autopilot_on_two_links_is_commanded_over_one_until_that_falls_silent
             early = mavlink.MAVLink(None).parse_buffer(b"".join(second.sent)) or []
     bench.pilot.command(mavlink.MAV_CMD_IMAGE_START_CAPTURE)
     late = mavlink.MAVLink(None).parse_buffer(b"".join(second.sent)) or []
+    sequence = [message.get_seq() for message in late]
+    assert sequence == [k % 256 for k in range(len(sequence))], "who listens there alone counts no losses"
+    recorded = b"".join(chunk.data for chunk in kinds(records, RawChunk) if chunk.link >= OUTGOING)
+    beats = [m for m in mavlink.MAVLink(None).parse_buffer(recorded) or [] if m.get_type() == "HEARTBEAT"]
+    assert len(beats) <= 11, "one a second, whatever the links"
     asked = {"COMMAND_LONG", "PARAM_REQUEST_READ"}
     assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= {message.get_type() for message in bench.vehicle.heard}
     assert not asked & {message.get_type() for message in early}

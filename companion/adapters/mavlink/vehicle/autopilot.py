@@ -285,9 +285,9 @@ class MavlinkAutopilot:
             while self._held:
                 self._sender.tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
         if self._heartbeats.take(now_host_ns):
-            for link in self._links:
-                if system is not None or link.knocks:
-                    self._sender.send(encode.heartbeat(self.health), link.number)
+            knocking = [link.number for link in self._links if link.knocks]
+            for number in knocking if system is None else [None]:
+                self._sender.send(encode.heartbeat(self.health), number)
         if system is None:
             return
         for message in self.component.due(now_host_ns):

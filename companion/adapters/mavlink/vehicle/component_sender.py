@@ -36,6 +36,7 @@ class ComponentSender:
         self._sent: deque[RawChunk] = deque(maxlen=_MOST_UNREAD)
         self._links, self._component = links, component
         self._packer = mavlink.MAVLink(None, _FIRST_SYSTEM, component_id)
+        self._sequences = dict.fromkeys((link.number for link in links), 0)  # of the next frame on each link
         self._texts = 0
 
     @property
@@ -52,22 +53,23 @@ class ComponentSender:
         if message is None or not encode.sendable(message):
             self.refused += 1
             return
-        frame = self.pack(message)
-        taken = [link.number for link in self._links if number in (None, link.number) and link.write(frame)]
+        frames = {link.number: self.pack(message, link.number) for link in self._links if number in (None, link.number)}
+        if frames:
+            self._component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
+        taken = [link.number for link in self._links if link.number in frames and link.write(frames[link.number])]
         if taken:
-            self._sent.append(RawChunk(OUTGOING + taken[0], self._clock.now_ns(), frame))
+            self._sent.append(RawChunk(OUTGOING + taken[0], self._clock.now_ns(), frames[taken[0]]))
 
     def sent(self) -> Iterator[RawChunk]:
         """Frames that a link has taken since the last call, each once, for the recording."""
         while self._sent:
             yield self._sent.popleft()
 
-    def pack(self, message: Any) -> bytes:
-        """Bytes of a message, with the next sequence number."""
-        frame = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self._component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
-        return frame
+    def pack(self, message: Any, number: int) -> bytes:
+        """Bytes of a message, with the next sequence number of a link: who reads that one counts gaps as losses."""
+        self._packer.seq = self._sequences[number]
+        self._sequences[number] = (self._packer.seq + 1) % 256
+        return bytes(message.pack(self._packer))
 
     def command(self, command: int, *parameters: float) -> None:
         """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
