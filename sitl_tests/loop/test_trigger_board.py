@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import pty
 import shutil
 import sys
+import threading
 import time
 import tty
 import types
@@ -16,6 +18,7 @@ from unittest.mock import call, create_autospec
 import numpy as np
 import pytest
 
+from companion.adapters.triggers import serial_board
 from companion.adapters.triggers.gpio import GpioTrigger
 from companion.adapters.triggers.serial_board import LEAD_NS, BoardClock, SerialBoardTrigger, opened, sealed
 from companion.errors import DeviceError
@@ -132,6 +135,29 @@ def test_a_board_that_goes_away_is_a_device_error(bench: Board) -> None:
 def test_a_port_that_is_not_there_is_named() -> None:
     with pytest.raises(DeviceError, match="/dev/none"):
         SerialBoardTrigger("/dev/none")
+
+
+def test_a_port_that_babbles_without_an_end_of_line_is_no_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another device on that name, or the wrong baud rate."""
+    monkeypatch.setattr(serial_board, "_WAKE_S", 0.2)
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    ends_s = time.monotonic() + 3.0
+
+    def babble() -> None:
+        while time.monotonic() < ends_s:
+            os.write(master, b"\xfd" * 20)
+            time.sleep(0.01)
+
+    talk = threading.Thread(target=babble, daemon=True)
+    talk.start()
+    with pytest.raises(DeviceError, match="no trigger board answers"):
+        SerialBoardTrigger(os.ttyname(slave))
+    assert time.monotonic() < ends_s - 1.0
+    ends_s = 0.0
+    talk.join()
+    os.close(slave)
+    os.close(master)
 
 
 def test_the_board_clock_believes_short_ways_and_forgets_old_ones() -> None:

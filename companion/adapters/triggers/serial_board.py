@@ -24,6 +24,7 @@ _EXCHANGES_ANEW = 4  # chosen: after a failure, which a next shot should not wai
 _EXCHANGES = 32  # chosen: newest exchanges that the clock rests on: quick ones enough, and young
 _OLDEST_NS = 1_000_000_000  # chosen: an offset that is older may be off by 30 us; the board is asked before a shot
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
+_LONGEST_LINE = 256  # bytes: several times the longest of the protocol; what never ends a line is no board (choice)
 _WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
 
 
@@ -184,7 +185,7 @@ class SerialBoardTrigger:
 
     def _line(self) -> list[str]:
         try:
-            return opened(self._serial.readline())
+            return opened(self._serial.read_until(b"\n", _LONGEST_LINE))
         except OSError as error:
             raise DeviceError(f"trigger board on {self._port} is gone: {error}") from error
 
