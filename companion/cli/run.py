@@ -113,7 +113,11 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
 
 
 def _with_kept_latency(airframe: Airframe, options: argparse.Namespace) -> Airframe:
-    stored = load_latency(_latency_file(options))
+    stored = None
+    try:
+        stored = load_latency(_latency_file(options))
+    except ConfigError as error:  # what was learned is learned again
+        say(f"{error} (the service runs without it)")
     learned = with_latency(airframe, stored, _path(options))
     if stored is not None and learned is not airframe:
         latencies = " and ".join(f"{1e3 * side.value:.2f} +- {1e3 * side.sigma:.2f} ms" for side in stored.latency_s)

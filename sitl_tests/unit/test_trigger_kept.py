@@ -117,3 +117,6 @@ def test_run_restores_it_and_says_so(tmp_path: Path, airframe: Airframe, capsys:
     assert "40 shots" in capsys.readouterr().err
     other = run.service_config(parser.parse_args(words)).airframe
     assert other == airframe
+    (tmp_path / "kept.latency").write_text("half a li")
+    assert run.service_config(parser.parse_args([*words, "--trigger", "mavlink"])).airframe == airframe
+    assert "kept.latency: not a latency" in capsys.readouterr().err
