@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import struct
 from typing import Any
 
 import numpy as np
 import pytest
+from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.component import encode, message_outputs
@@ -201,6 +203,21 @@ def test_requests_of_others_are_answered_with_our_time() -> None:
     (answered,) = [message for message in bench.vehicle.of("TIMESYNC") if message.tc1]
     assert answered.ts1 == 4711
     assert before <= answered.tc1 <= bench.clock.now
+
+
+@pytest.mark.parametrize(("system", "component", "answers"), [(3, 191, 1), (0, 0, 1), (3, 1, 0), (4, 191, 0)])
+def test_a_request_that_names_somebody_is_answered_by_that_one_alone(system: int, component: int, answers: int) -> None:
+    """The newer fields of TIMESYNC, which pymavlink does not have; our answer names who asked."""
+    bench = Bench()
+    bench.fly(0.1)
+    asked = (
+        bytes((18, 0, 0, 7, 3, 240)) + (111).to_bytes(3, "little") + struct.pack("<qqBB", 0, 4711, system, component)
+    )
+    bench.wire.inbox += b"\xfd" + asked + mcrf4xx(asked + bytes((34,))).to_bytes(2, "little")
+    bench.fly(0.1)
+    replies = [m for m in bench.vehicle.of("TIMESYNC") if m.tc1]
+    assert [m.ts1 for m in replies] == [4711] * answers
+    assert [m.get_msgbuf()[26:28] for m in replies] == [bytes((3, 240))] * answers
 
 
 def test_another_vehicle_is_neither_answered_nor_believed() -> None:

@@ -180,7 +180,7 @@ class Decoder:
             self.echoes += 1
             out.echoed.append(Echo(system, component, kind, payload, chunk.received_host_ns))
         else:
-            heard = Heard(chunk.link, system, component, message, chunk.received_host_ns)
+            heard = Heard(chunk.link, system, component, message, chunk.received_host_ns, payload)
             out.heard.append(heard)
             out.records += self._translator.records(heard)
 

@@ -50,13 +50,17 @@ INTEGER_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A rare message as it came: ``message`` is pymavlink's object, wire units."""
+    """A rare message as it came: ``message`` is pymavlink's object, wire units.
+
+    ``payload`` has what this dialect knows no fields for.
+    """
 
     link: int
     system: int
     component: int
     message: Any
     received_host_ns: int
+    payload: bytes = b""
 
     @property
     def name(self) -> str:

@@ -23,6 +23,7 @@ from companion.adapters.mavlink.vehicle.component_sender import ComponentSender
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.vehicle.rates import RateKeeper
 from companion.adapters.mavlink.vehicle.senders import ClockConflictDetector
+from companion.adapters.mavlink.vehicle.timesync import TimesyncAnswer, is_request
 from companion.adapters.mavlink.vehicle.vehicle_choice import ChoiceNotices
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
@@ -199,9 +200,9 @@ class MavlinkAutopilot:
         for echo in decoded.echoed:
             self.component.echoed(echo)
         system = self.decoder.system_id
-        requests = [heard for heard in decoded.heard if heard.name == "TIMESYNC" and heard.message.tc1 == 0]
-        for heard in [heard for heard in requests if heard.system == system][:_MOST_ANSWERS]:
-            self._sender.send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
+        ours = self._settings.component_id
+        for request in [heard for heard in decoded.heard if is_request(heard, system, ours)][:_MOST_ANSWERS]:
+            self._sender.send(TimesyncAnswer(request, self._clock.now_ns()), request.link)
         for heard in decoded.heard:
             self._hear(heard, now_host_ns)
             if system is not None:
