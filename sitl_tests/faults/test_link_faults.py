@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link, open_link
 from companion.adapters.mavlink.link.reconnect import Backoff
-from companion.adapters.mavlink.link.tcp import TcpServer
+from companion.adapters.mavlink.link.tcp import TcpClient, TcpServer
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.errors import LinkDown, LinkError
 from sitl_tests.ports import free_port
@@ -313,6 +313,33 @@ def test_a_tcp_listener_takes_the_next_client(held: Held) -> None:
             assert link.write(b"ok")
             assert client.recv(10) == b"ok"
         assert read(link, 1, within_s=0.1) == b""
+
+
+def test_a_call_that_nobody_takes_is_given_up_and_made_again(held: Held) -> None:
+    """The system alone tries again after one second, three, seven and so on up to a minute."""
+    server = held.listener()
+    address = server.getsockname()
+    callers = [socket.socket() for _ in range(4)]
+    for caller in callers:
+        caller.setblocking(False)
+        caller.connect_ex(address)
+    time.sleep(0.1)
+    client = TcpClient(*address, may_be_down=True)
+    held.stack.callback(client.close)
+    client.receive(10, 0)
+    client.receive(10, 2_900_000_000)
+    client.receive(10, 3_100_000_000)
+    for caller in callers:
+        caller.close()
+    server.setblocking(False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            server.accept()[0].close()
+    begin = time.monotonic()
+    while client.fileno() < 0:
+        client.receive(10, 4_000_000_000)
+        assert time.monotonic() - begin < 0.6
+        time.sleep(0.005)
 
 
 def test_a_serial_device_that_is_unplugged_comes_back(held: Held, tmp_path: Path) -> None:

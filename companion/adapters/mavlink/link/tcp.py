@@ -12,6 +12,7 @@ from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.errors import LinkDown, LinkError
 
 _FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, and the start is not held up longer
+_LONGEST_CALL_NS = 3_000_000_000  # chosen: the system's own pauses between tries grow to a minute
 _MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
 
 
@@ -67,6 +68,7 @@ class TcpClient:
         if not may_be_down:
             self._stream = _BufferedSocket(_connected(where, (self._host.newest() or host, port)))
         self._calling: socket.socket | None = None
+        self._called_host_ns = 0
         self._backoff = Backoff()
 
     def fileno(self) -> int:
@@ -100,9 +102,13 @@ class TcpClient:
             self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._calling.setblocking(False)
             self._calling.connect_ex((address, self._port))
+            self._called_host_ns = now_host_ns
         calling = self._calling
         _, writable, _ = select.select([], [calling], [], 0)
         if not writable:
+            if now_host_ns - self._called_host_ns > _LONGEST_CALL_NS:
+                self._calling.close()
+                self._calling = None
             return
         self._calling = None
         if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
