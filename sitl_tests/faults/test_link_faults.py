@@ -315,6 +315,24 @@ def test_a_tcp_listener_takes_the_next_client(held: Held) -> None:
         assert read(link, 1, within_s=0.1) == b""
 
 
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="an option of Linux")
+def test_a_client_that_vanished_makes_room_in_seconds(held: Held) -> None:
+    """No test can pull the cable out of a loopback; the system is told how long to wait."""
+    transport = TcpServer("127.0.0.1", 0)
+    held.stack.callback(transport.close)
+    client = socket.create_connection(("127.0.0.1", transport.port), timeout=2)
+    held.stack.callback(client.close)
+    begin = time.monotonic()
+    listener = transport.fileno()
+    while transport.fileno() == listener:
+        transport.receive(10, 0)
+        assert time.monotonic() - begin < 2.0
+    with socket.socket(fileno=os.dup(transport.fileno())) as taken:
+        assert taken.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 5000
+        assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) <= 2
+
+
 def test_a_call_that_nobody_takes_is_given_up_and_made_again(held: Held) -> None:
     """The system alone tries again after one second, three, seven and so on up to a minute."""
     server = held.listener()

@@ -13,16 +13,29 @@ from companion.errors import LinkDown, LinkError
 
 _FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, and the start is not held up longer
 _LONGEST_CALL_NS = 3_000_000_000  # chosen: the system's own pauses between tries grow to a minute
+_GONE_MS = 5000  # chosen: without an answer so long, and a peer has vanished; a radio's pauses are shorter
+_KEEPALIVE_S = 1  # chosen: several questions before a silent peer is given up
 _MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
 
 
 class _BufferedSocket:
-    """A connected stream socket with a bounded buffer for what the kernel cannot take at once."""
+    """A connected stream socket with a bounded buffer for what the kernel cannot take at once.
+
+    A peer that vanished without a word (a cable, a power switch) is gone after five seconds, whether we write to it or
+    not: the system alone would wait for a quarter of an hour.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, AttributeError):  # the latter on systems that have not all of them
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, value in (
+                (socket.TCP_KEEPIDLE, _KEEPALIVE_S),
+                (socket.TCP_KEEPINTVL, _KEEPALIVE_S),
+                (socket.TCP_USER_TIMEOUT, _GONE_MS),
+            ):
+                connection.setsockopt(socket.IPPROTO_TCP, option, value)
         self.socket = connection
         self._unsent = bytearray()
 
