@@ -87,6 +87,14 @@ def test_what_is_unsigned_of_mavlink_1_or_of_another_key_is_refused_and_counted(
     assert ours.signing.notices(ours.clock.now + S) == []
 
 
+def test_a_telemetry_radio_s_status_is_no_refusal() -> None:
+    """SiK radios mix it in, and have no key."""
+    ours, status = Ours(), mavlink.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0)
+    for is_old in (False, True):
+        assert ours.take(bytes(status.pack(mavlink.MAVLink(None, 51, 68), is_old))) == b""
+    assert not ours.signing.refused
+
+
 def test_a_frame_is_taken_once() -> None:
     ours, other = Ours(), Other()
     first, second = other.frame(1), other.frame(2)

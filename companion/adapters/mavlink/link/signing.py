@@ -27,7 +27,7 @@ from typing import Protocol
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.link.dialect import CRC_EXTRA
+from companion.adapters.mavlink.link.dialect import CRC_EXTRA, ID_OF
 from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.adapters.mavlink.vehicle.senders import Senders
@@ -141,7 +141,7 @@ class Signing:
         if refusal is None:
             self.accepted += 1
             self._keep()
-        else:
+        elif not (refusal is Refusal.UNSIGNED and _is_radio_status(frame)):
             self.refused[refusal] += 1
         return refusal
 
@@ -183,6 +183,12 @@ class Signing:
             parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
             notices.append(Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns))
         return notices
+
+
+def _is_radio_status(frame: bytes) -> bool:
+    """Whether a frame is a telemetry radio's RADIO_STATUS, which no radio can sign: dropped, and no news."""
+    number = frame[7:10] if frame[0] == _MAGIC_2 else frame[5:6]
+    return int.from_bytes(number, "little") == ID_OF["RADIO_STATUS"]
 
 
 class Carrier(Protocol):
