@@ -59,6 +59,7 @@ class LiveTape:
             return
         try:
             self._writer.write(record)
+            self._writer.keep_synced()
         except OSError as error:
             self._writer.abandon()
             self._writer = None
@@ -68,7 +69,7 @@ class LiveTape:
         """Finish the file."""
         writer, self._writer = self._writer, None
         if writer is not None:
-            writer.close()
+            writer.close(sync=True)
 
     def listed(self) -> list[dict[str, Any]]:
         """Name, size and age order of the recordings, newest first."""

@@ -5,13 +5,17 @@ from __future__ import annotations
 import selectors
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver, recorder_channel
+from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.live.feed import ALWAYS, BIT, TAPED, FeedEnd, ImagePace, Interest, LiveFeed
+from companion.live.tape import LiveTape
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Notice, ParameterChange, RawChunk, Record, Side, Tick, TriggerPlan
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
@@ -28,6 +32,19 @@ def feed() -> Iterator[tuple[LiveFeed, RecorderReceiver, Interest]]:
     feed.close()
     end.close()
     theirs.close()
+
+
+def test_a_recording_of_the_page_reaches_the_disk_every_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    syncs: list[int] = []
+    monkeypatch.setattr(McapWriter, "sync", lambda writer: syncs.append(writer.size_bytes))
+    tape = LiveTape(tmp_path)
+    tape.begin(About.of(load_airframe("nadir-2m"), Settings()))
+    for second in range(4):
+        tape.write(Tick(2_000 * second * MS))
+    assert len(syncs) == 1, "as often as a disk may be asked"
+    assert syncs[0] > 0
+    tape.end()
+    assert len(syncs) == 2, "and the whole file"
 
 
 def received(receiver: RecorderReceiver, within_s: float) -> list[Record]:

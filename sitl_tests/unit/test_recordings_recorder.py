@@ -172,7 +172,7 @@ def test_a_recording_reaches_the_disk_every_period_and_at_its_end(
         on_disk_bytes.append(os.fstat(number).st_size)
 
     monkeypatch.setattr(recorder, "_on_terminate", list)
-    monkeypatch.setattr(recorder, "_SYNC_PERIOD_NS", 100_000_000)
+    monkeypatch.setattr(writer, "_SYNC_PERIOD_NS", 100_000_000)
     monkeypatch.setattr(writer, "_force", forced)
     monkeypatch.setattr(writer, "sync_folder", folders.append)
     client_end, theirs = recorder_channel()

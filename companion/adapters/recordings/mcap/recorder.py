@@ -15,12 +15,10 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 from companion.lifetime import StopFlag
 from companion.numbered_files import free_path, remove_oldest
-from companion.rate_limiter import RateLimiter
 
 _IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
 _IDLE_ROUNDS = 4  # waits without a record before the recorder ends (choice)
 _TRY_AGAIN_S = 30.0  # chosen: a full disk is looked at twice a minute
-_SYNC_PERIOD_NS = 1_000_000_000  # chosen: as often as a chunk is closed; flash is not worn by more
 _PARTS = 4  # of what is kept: three finished ones and the one in progress (choice)
 
 
@@ -125,7 +123,6 @@ def _record(
 ) -> bool:
     """Write what comes until all is over (True), or the file has reached its size (False)."""
     idle_rounds = 0
-    syncs = RateLimiter(_SYNC_PERIOD_NS)
     while selector.get_map():
         if most_bytes is not None and writer.size_bytes >= most_bytes:
             return False
@@ -140,8 +137,8 @@ def _record(
             if batch is not None:
                 _write(writer, batch)
         ending = terminated or (stop is not None and stop.is_set())  # the file is synced once more when it is whole
-        if not ending and writer.size_bytes > writer.synced_bytes and syncs.take(time.monotonic_ns()):
-            writer.sync()
+        if not ending:
+            writer.keep_synced()
     return True
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -25,10 +26,12 @@ from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.params.persist import sync_folder
 from companion.params.settings import Settings
+from companion.rate_limiter import RateLimiter
 from companion.records import ClockName, Frame, FramePair
 
 FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread (convention)
 _CHUNK_NS = 1_000_000_000  # chosen: a crash costs a second at most
+_SYNC_PERIOD_NS = 1_000_000_000  # chosen: as often as a chunk is closed; flash is not worn by more
 _force = getattr(os, "fdatasync", os.fsync)  # not every system has the quicker one
 _CHUNK_BYTES = 4 * 1024 * 1024  # chosen: several images fit in; the reader's memory per chunk stays small
 
@@ -85,6 +88,7 @@ class McapWriter:
         self._format = about.image_format
         self._flushed = 0
         self.size_bytes = self.synced_bytes = 0
+        self._syncs = RateLimiter(_SYNC_PERIOD_NS)
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._channels: dict[str, int] = {}
         self._sequence = 0
@@ -144,6 +148,11 @@ class McapWriter:
             if not self.synced_bytes:
                 sync_folder(self._path.parent)
         self.synced_bytes = self.size_bytes
+
+    def keep_synced(self) -> None:
+        """:meth:`sync` where there is something to force to the disk, once a second at most."""
+        if self.size_bytes > self.synced_bytes and self._syncs.take(time.monotonic_ns()):
+            self.sync()
 
     def abandon(self) -> None:
         """Close a file that cannot be written any further; one without any record in it is removed."""
