@@ -129,6 +129,26 @@ def test_the_circle_is_full_in_body_axes_and_tells_unknown_from_clear() -> None:
     assert (message.frame, message.increment, message.increment_f) == (12, 5, 5.0)
 
 
+def old_px4_map_cm(message: Any) -> list[int]:
+    """A message as a PX4 of 36 directions reads it: CollisionPrevention::_addObstacleSensorData."""
+    return [
+        message.distances[math.ceil((10 * k - message.angle_offset) % 360 / message.increment_f)] for k in range(36)
+    ]
+
+
+@pytest.mark.parametrize("sector", range(72))
+def test_an_obstacle_in_any_sector_is_seen_by_a_px4_of_ten_degrees(sector: int) -> None:
+    known_mask, clear, distance = [False] * 72, [True] * 72, [0.0] * 72
+    known_mask[sector], clear[sector], distance[sector] = True, False, 15.0
+    record = sectors(distance, known_mask, clear)
+    message = sent(encode.obstacle_distance(record, 5, px4=True))
+    bearings = [10 * k for k, entry in enumerate(old_px4_map_cm(message)) if entry == 1500]
+    assert bearings
+    assert all(abs((bearing - 5 * sector + 180) % 360 - 180) <= 5 for bearing in bearings)
+    assert by_bearing(message)[sector] == 1500, "and by one that reads all"
+    assert by_bearing(sent(encode.obstacle_distance(record, 5))).count(1500) == 1
+
+
 def ardupilots_faces_m(message: Any) -> list[float | None]:
     """A message as AP_Proximity_MAV::handle_obstacle_distance_msg leaves it: the nearest in each 45 degrees.
 

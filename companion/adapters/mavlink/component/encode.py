@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
@@ -89,7 +90,7 @@ def _distance(
     )
 
 
-def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
+def obstacle_distance(record: ObstacleSectors, time_usec: int, *, px4: bool = False) -> Any:
     """OBSTACLE_DISTANCE, the full circle of 72 sectors of 5 degrees in body FRD (frame 12), from 20 degrees left on.
 
     ArduPilot gathers the elements into faces of 45 degrees in their order, and what it reads of a face later takes the
@@ -98,6 +99,10 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
 
     A known obstacle is clamped to the limits from below (never 0, which autopilots read as no data); beyond the largest
     distance, or clear, is largest + 1; everything else is unknown, 65535.
+
+    A PX4 that keeps 36 directions reads every other sector (CollisionPrevention.cpp, ``ceil`` of bearing over
+    increment). With ``px4`` these have the nearest obstacle of their neighbours, too: where a newer one keeps 72,
+    obstacles are up to one sector wider on either side.
     """
     least, most = _limits_cm(record.min_m, record.max_m)
     finite = np.isfinite(record.distance_m) & (record.distance_m >= 0)
@@ -109,7 +114,7 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
     sectors[measured & ~record.clear] = near[measured & ~record.clear]
     circle = np.full(SECTORS, _UNKNOWN_CM, dtype=np.int64)
     circle[: len(sectors)] = sectors[:SECTORS]
-    circle = np.roll(circle, _FIRST)
+    circle = np.roll(_gathered(circle, most) if px4 else circle, _FIRST)
     return mavlink.MAVLink_obstacle_distance_message(
         max(time_usec, 0),
         mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
@@ -121,6 +126,14 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
         float(-_FIRST * _SECTOR_DEG),
         mavlink.MAV_FRAME_BODY_FRD,
     )
+
+
+def _gathered(circle: NDArray[np.int64], most_cm: int) -> NDArray[np.int64]:
+    """A circle whose every other sector has the nearest obstacle of itself and its two neighbours, if they have any."""
+    obstacles = np.where(circle <= most_cm, circle, _UNKNOWN_CM)
+    nearest = np.minimum(np.minimum(np.roll(obstacles, 1), np.roll(obstacles, -1)), obstacles)
+    read = (np.arange(SECTORS) % 2 == 0) & (nearest <= most_cm)
+    return np.where(read, nearest, circle)
 
 
 def obstacle_points(record: ObstacleSectors, time_boot_ms: int) -> list[Any]:

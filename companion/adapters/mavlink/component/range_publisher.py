@@ -45,6 +45,7 @@ class RangePublisher:
         self._limiter = RateLimiter(0.0)
         self._trusted = False
         self._points_ms = 0
+        self._px4 = False
         self._sectors_until_ns = 0
 
     def adopt(self, settings: Settings) -> None:
@@ -56,9 +57,15 @@ class RangePublisher:
         self._states.append(state)
 
     def messages(
-        self, record: CorrectedRange | NoRange | ObstacleSectors, boot_offset_ns: int, now_host_ns: int
+        self,
+        record: CorrectedRange | NoRange | ObstacleSectors,
+        boot_offset_ns: int,
+        now_host_ns: int,
+        *,
+        px4: bool = False,
     ) -> list[Any]:
-        """Messages of a record; ``boot_offset_ns`` is the autopilot's boot time less host time."""
+        """Messages of a record; ``boot_offset_ns`` is the autopilot's boot time less host time, ``px4`` its kind."""
+        self._px4 = px4
         limits_m = (self._settings.min_range_m, self._settings.max_range_m)
         if isinstance(record, ObstacleSectors):
             self._sectors_until_ns = now_host_ns + _SECTORS_LAST_NS
@@ -115,7 +122,7 @@ class RangePublisher:
         if form not in (_CIRCLE, _POINTS) or not self._due("obstacles", now_host_ns):
             return []
         if form == _CIRCLE:
-            return [encode.obstacle_distance(record, boot_ns // 1000)]
+            return [encode.obstacle_distance(record, boot_ns // 1000, px4=self._px4)]
         stamp_ms = boot_ns // 1_000_000
         if stamp_ms > self._points_ms - _RESTARTED_MS:  # else the autopilot has restarted, and counts from 0 again
             stamp_ms = max(stamp_ms, self._points_ms + 1)

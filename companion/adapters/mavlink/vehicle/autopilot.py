@@ -312,7 +312,8 @@ class MavlinkAutopilot:
         A :class:`Shot` becomes the command that fires the autopilot's cameras: publish shots only where those are used.
         """
         if isinstance(record, CorrectedRange | NoRange | ObstacleSectors):
-            for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
+            px4 = self.decoder.px4
+            for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns(), px4=px4):
                 self._sender.send(message)
         elif isinstance(record, Shot):
             request = self._firing.command(record, px4=self.decoder.px4)
