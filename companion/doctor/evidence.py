@@ -82,6 +82,8 @@ class Evidence:
     nodes' counters by (component, name) of NAMED_VALUE_INT. ``clipped`` counts the samples at their sensor's limits and
     all of them; ``autopilot_clips`` are the sums of VIBRATION's three counters of clipped samples, in order.
     ``realtime`` is whether this user may take a real-time priority, None where that is not known.
+    ``buffer_shortfall`` are the bytes that may wait in a link's UDP socket and those that were asked for, None where
+    they are granted or no link has one.
     """
 
     airframe: Airframe
@@ -113,6 +115,7 @@ class Evidence:
     clipped: dict[Station, SampleCounts] = field(default_factory=dict)
     autopilot_clips: list[int] = field(default_factory=list)
     realtime: bool | None = None
+    buffer_shortfall: tuple[int, int] | None = None
 
     @property
     def pilot(self) -> Beat | None:

@@ -10,6 +10,7 @@ from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.decode.message_records import Heard, parameter_value
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.link.udp import buffer_shortfall
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
 from companion.adapters.recordings.logs.tlog import TlogRecording
@@ -92,6 +93,8 @@ class Examination:
         counted_s = (now - self._counting_host_ns) / 1e9
         evidence.system = decoder.system_id
         evidence.realtime = _may_be_realtime()
+        has_udp = any(link.spelling.startswith("udp") for link in self._links)
+        evidence.buffer_shortfall = buffer_shortfall() if has_udp else None
         evidence.twice = self.pilot.component.identity.foreign
         if counted_s > 0:
             evidence.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}

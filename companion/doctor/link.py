@@ -67,7 +67,14 @@ def _routing(evidence: Evidence) -> Iterator[Finding]:
 
 
 def check_computer(evidence: Evidence) -> Iterator[Finding]:
-    """Whether this computer lets the trigger be punctual."""
+    """Whether this computer lets the trigger be punctual, and samples wait for a busy reader."""
+    if evidence.buffer_shortfall is not None:
+        granted, wanted = evidence.buffer_shortfall
+        text = (
+            f"{granted:,} bytes may wait in a UDP socket, {wanted:,} are wanted: samples are lost in a pause of 0.2 s; "
+            "`sudo sysctl -w net.core.rmem_max=4194304`, and for good /etc/sysctl.d (`spanwise setup` writes it)"
+        )
+        yield Finding("computer", FindingLevel.NOTE, text)
     if evidence.realtime is None or evidence.airframe.left_camera is None:
         return
     if evidence.realtime:

@@ -25,7 +25,10 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
     calibrated = f"{_CALIBRATED}/airframe.toml"  # as calibrate writes it, and identify once more
     links = " ".join(f"--connect {link}" for link in choices.listening)
     cameras, trigger = choices.cameras or "oak:CAM_B,CAM_C", choices.trigger or "serial:/dev/spanwise-trigger"
-    reload = "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo udevadm trigger"
+    reload = (
+        "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo udevadm trigger && "
+        "sudo sysctl -q --system"
+    )
     eyes = f"--cameras {cameras} --trigger {trigger}"
     system = [NextStep("the system reads the new files", reload)] if here else []
     if restart and here:

@@ -18,6 +18,7 @@ from companion.setup.tree import Entry, File, Tree, same
 UNIT = "etc/systemd/system/spanwise.service"
 DEFAULTS = "etc/default/spanwise"
 RULES = "etc/udev/rules.d/80-spanwise.rules"
+BUFFERS = "etc/sysctl.d/80-spanwise.conf"
 ROUTER = "etc/mavlink-router/main.conf"
 ROUTER_UNIT = "etc/systemd/system/mavlink-router.service.d/spanwise.conf"
 BESIDE, SAVED = ".spanwise-new", ".spanwise-saved"
@@ -103,6 +104,7 @@ def _files(tree: Tree, board: CompanionBoard, choices: Choices, program: str) ->
         UNIT: _rendered("spanwise.service", values),
         DEFAULTS: _rendered("spanwise.default", values),
         RULES: _known_groups(_rendered("80-spanwise.rules", values), existing),
+        BUFFERS: _rendered("spanwise.sysctl", values),
     }
     if choices.router:
         files[ROUTER] = _rendered("mavlink-router.conf", values | {"AUTOPILOT": _autopilot(choices)})

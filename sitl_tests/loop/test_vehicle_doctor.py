@@ -360,6 +360,7 @@ def test_a_deaf_node_will_be_aligned_by_what_it_measures_and_one_that_measures_n
 
 
 def test_a_computer_that_grants_no_priority_is_told_what_to_set() -> None:
+    assert "rmem_max" in texts(evidence_of(buffer_shortfall=(212_992, 1 << 20)), doctor.check_computer)
     assert "LimitRTPRIO" in texts(evidence_of(realtime=False), doctor.check_computer)
     assert "ok" in texts(evidence_of(realtime=True), doctor.check_computer)
     assert texts(evidence_of(), doctor.check_computer) == ""

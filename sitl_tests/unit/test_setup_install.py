@@ -21,6 +21,7 @@ from sitl_tests.unit.setup_boards import BOARDS, CMDLINE, CONFIG, WANTS, fake_bo
 
 UNIT = "etc/systemd/system/spanwise.service"
 DEFAULTS = "etc/default/spanwise"
+BUFFERS = "etc/sysctl.d/80-spanwise.conf"
 RULES = "etc/udev/rules.d/80-spanwise.rules"
 ROUTER = "etc/mavlink-router/main.conf"
 ROUTER_UNIT = "etc/systemd/system/mavlink-router.service.d/spanwise.conf"
@@ -62,13 +63,13 @@ def test_the_files_are_there_and_the_checks_show_their_figures(
         assert figure in said
     assert "mend" not in said
     made = set(snapshot(root)) - {"var", "var/lib"}
-    assert {UNIT, DEFAULTS, RULES, MANIFEST} <= made
+    assert {UNIT, DEFAULTS, RULES, BUFFERS, MANIFEST} <= made
     assert ROUTER not in made
     assert (
         f'SPANWISE_LINKS="--connect {uart},921600 --connect /dev/spanwise-left,921600' in (root / DEFAULTS).read_text()
     )
     assert "SupplementaryGroups=dialout gpio video plugdev\n" in (root / UNIT).read_text()
-    for name in (UNIT, DEFAULTS, RULES):
+    for name in (UNIT, DEFAULTS, RULES, BUFFERS):
         assert stat.S_IMODE((root / name).stat().st_mode) == 0o644
         assert "@BOARD@" not in (root / name).read_text()
     assert stat.S_IMODE((root / MANIFEST).stat().st_mode) == 0o600

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,18 @@ _MOST_PEERS = 16  # bound of memory
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
 _MOST_READS = 64  # of 64 system calls each at most; the same bound where many are read at once
 _MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
+
+
+def buffer_shortfall() -> tuple[int, int] | None:
+    """Bytes that may wait in a UDP socket, and those that we ask for; None where all are granted.
+
+    Linux cuts at ``net.core.rmem_max`` and does not say so.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        granted = trial.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    granted //= 2 if sys.platform == "linux" else 1  # Linux tells twice what it grants (socket(7))
+    return (granted, _RECEIVE_BUFFER_BYTES) if granted < _RECEIVE_BUFFER_BYTES else None
 
 
 class _Udp:
