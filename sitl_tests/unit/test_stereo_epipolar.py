@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from companion.core.stereo.consistency_gate import KNOCK_RAD
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame, parallax
 from companion.core.stereo.epipolar_states import PARALLAX_STATES, ExtrinsicsPrior, FastBelief
@@ -222,6 +223,17 @@ def test_belief_grows_wider_while_nothing_is_seen(rig: Rig) -> None:
     assert prior.time_s == pytest.approx(50.0)
     assert np.allclose(soon, 25e-6 + (now - 25e-6) * np.exp(-8.0 / 50.0), rtol=1e-9)
     assert np.allclose(late, 25e-6, rtol=1e-9)
+
+
+def test_a_rotation_without_a_sigma_stays_and_a_doubt_of_it_too(rig: Rig) -> None:
+    """Cameras whose file says that nothing turns them: no time heals a knock, the matches do."""
+    tracker = EpipolarFilter(rig, ExtrinsicsPrior(rotation_rad=0.0))
+    rays, sigma, still = _rays(rig, np.zeros(3), 12), np.full(150, NOISE_RAD), FastBelief(np.zeros((3, 3)))
+    for t_ns in (0, 100_000_000):
+        assert isinstance(tracker.update(rays, sigma, still, t_ns), EpipolarUpdate)
+    assert np.all(np.diag(tracker.predict(10**13)[1])[:3] < 1e-16)
+    tracker.reopen()
+    assert np.allclose(np.diag(tracker.predict(10**13)[1])[:3], KNOCK_RAD**2)
 
 
 def test_a_flight_that_is_not_known_at_all_leaves_the_rotation(rig: Rig) -> None:

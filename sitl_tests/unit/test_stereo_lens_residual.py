@@ -314,6 +314,15 @@ def test_a_calibration_is_not_taken_for_better_than_it_says() -> None:
     assert lens_ratio(np.zeros(PAIR_TERMS), np.diag(1e-3 * PRIOR), PRIOR) == 1.0
 
 
+def test_terms_without_a_sigma_say_nothing_of_the_calibration() -> None:
+    exact = PRIOR.copy()
+    exact[[FOCAL, TILT_X, TILT_Y]] = 0.0
+    terms = np.where(exact > 0.0, 2.0 * np.sqrt(PRIOR), 0.0)
+    shown = lens_ratio(terms, 0.01 * np.diag(exact), exact)
+    assert 1.0 < shown < 4.0
+    assert lens_ratio(np.zeros(PAIR_TERMS), np.zeros((PAIR_TERMS, PAIR_TERMS)), np.zeros(PAIR_TERMS)) == 1.0
+
+
 def old_lens(seed: int, worse: float, airframe: Airframe) -> np.ndarray:
     camera = _camera(airframe)
     tilt, prism = camera.tilt_sigma_rad, camera.prism_sigma

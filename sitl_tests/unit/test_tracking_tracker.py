@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -187,6 +189,25 @@ def test_a_gap_of_the_root_in_a_steep_turn_unloads_no_wing(gap_ms: int) -> None:
         estimate = tracker.smooth(int(t[gap.stop]) + after_ms * MS)
         assert isinstance(estimate, Deflection)
         assert (np.abs(estimate.slope_rad - slope) < 4.0 * np.sqrt(np.diag(estimate.covariance)[4:])).all()
+
+
+@pytest.mark.parametrize("stations", [("root", "left", "right"), ("left", "right")])
+@pytest.mark.parametrize("bias", ["accel_bias_sigma_mps2", "gyro_bias_sigma_radps"])
+def test_biases_that_are_known_exactly_are_those_that_hardly_may_be_wrong(bias: str, stations: tuple[str, ...]) -> None:
+    """Without a sigma, or with the root's alone, the biases' covariance is singular."""
+    t, values = swinging(1.5, 0.005)
+    sigmas = []
+    for sigma in (0.0, 1e-7):
+        airframe = plain_airframe()
+        sensors = {name: dataclasses.replace(getattr(airframe, name), **{bias: sigma}) for name in stations}
+        tracker = WingTracker(dataclasses.replace(airframe, **sensors), Settings())
+        for station, v in values.items():
+            tracker.add(batch(station, t, v))
+        assert tracker.advance(int(t[-1])) is not None
+        smoothed = tracker.smooth(EPOCH_NS + 1000 * MS)
+        assert isinstance(smoothed, Deflection)
+        sigmas.append([*np.sqrt(np.diag(smoothed.covariance)), smoothed.slow_slope_sigma_rad])
+    np.testing.assert_allclose(sigmas[0], sigmas[1], rtol=1e-3)
 
 
 def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:

@@ -11,6 +11,7 @@ state, observed together with the true one and not separable from it by any numb
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -86,7 +87,12 @@ class ExtrinsicsPrior:
 
     @property
     def time_s(self) -> float:
-        """Correlation time of the rotation: an Ornstein-Uhlenbeck process with this sigma and walk."""
+        """Correlation time of the rotation: an Ornstein-Uhlenbeck process with this sigma and walk.
+
+        A rotation without a sigma stays what it is, for ever: a knock turns it once.
+        """
+        if self.rotation_rad <= 0.0:
+            return math.inf
         return 2.0 * (self.rotation_rad / max(self.walk_rad_rts, 1e-12)) ** 2
 
 

@@ -139,7 +139,7 @@ def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float
     terms, covariance : (9,), (9, 9) float64
         Posterior of the pair's terms.
     prior : (9,) float64
-        Variances that the calibration states.
+        Variances that the calibration states; a term whose variance is 0 tells nothing.
     believed : float
         Ratio under whose prior the terms were estimated.
 
@@ -147,7 +147,8 @@ def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float
     -------
     float
     """
-    m, p, after = terms[OBSERVED], prior[OBSERVED], np.diag(covariance)[OBSERVED]
+    stated = [term for term in OBSERVED if prior[term] > 0.0]
+    m, p, after = terms[stated], prior[stated], np.diag(covariance)[stated]
     w = np.clip(1.0 - after / (believed * p), 0.0, 1.0)
     excess = m**2 / p - believed * w * (1.0 - w)
     return float(max((_PRIOR_TERMS + excess.sum()) / (_PRIOR_TERMS + (w**2).sum()), 1.0))

@@ -16,6 +16,7 @@ from companion.records import Floats, ModeEstimate
 
 _LAG_S = 0.1  # chosen: about the time between two pairs
 _LONGEST_S = 5.0  # chosen: beyond, it makes no difference
+_SAME_BIAS = 1e-9  # chosen, of a correlation's largest eigenvalue: below, rounding errors alone tell biases apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +258,12 @@ def fast_slope_time_s(kalman: SeparatedBiasFilter, slope: Floats, step: int) -> 
 
 
 def _variance_by_biases(covariance: Floats, mean: Floats, biases: slice) -> float:
-    """Part of the mean slope's variance that follows from the drifting biases, rad^2."""
-    gain = mean @ covariance[:, biases]
-    return float(gain @ np.linalg.solve(covariance[biases, biases], gain))
+    """Part of the mean slope's variance that follows from the drifting biases, rad^2.
+
+    A bias may have no variance, and two may have the root's alone: their covariance may be singular.
+    """
+    variance = np.diag(covariance)[biases]
+    unit = np.divide(1.0, np.sqrt(np.abs(variance)), out=np.zeros(len(variance)), where=variance > 0.0)
+    gain = mean @ covariance[:, biases] * unit
+    correlation = covariance[biases, biases] * np.outer(unit, unit)
+    return float(gain @ np.linalg.pinv(correlation, rcond=_SAME_BIAS, hermitian=True) @ gain)
