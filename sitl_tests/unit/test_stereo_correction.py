@@ -152,6 +152,32 @@ def test_an_untrusted_wing_withholds_range_and_sectors_and_teaches_nothing() -> 
     assert {rotation.matches for rotation in _of(RelativeRotation, outputs)} == {0}
 
 
+class Refusing(Still):
+    """A tracker that has no bend for some pairs."""
+
+    refuses = False
+
+    def smooth(self, t_host_ns: int) -> Any:
+        return Reject.STALE if self.refuses else super().smooth(t_host_ns)
+
+
+@pytest.mark.parametrize(("distrust", "doubted"), [(Reject.STALE, True), (None, False)], ids=["silent", "short gap"])
+def test_after_a_time_without_a_bend_the_matches_tell_anew_and_soon(distrust: Reject | None, doubted: bool) -> None:
+    correction, tracker = Correction.create(forward(rotation_sigma_rad=2e-5), Settings()), Refusing()
+    for state in _states():
+        correction.vehicle.add(state)
+    outputs: list[OutputRecord] = []
+    for number in range(12):
+        tracker.refuses = number in (5, 6)
+        tracker.distrust = distrust if tracker.refuses else None
+        outputs += correction.add(_matches(number))
+        outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS)
+    sigmas_rad = [measured.toe_sigma_rad for measured in _of(CorrectedRange, outputs)]
+    assert len(sigmas_rad) == 10
+    assert (sigmas_rad[5] > 1.5 * sigmas_rad[4]) is doubted
+    assert all(measured.trusted for measured in _of(CorrectedRange, outputs)[-4:])
+
+
 def test_a_pair_whose_stamps_are_wrong_gives_no_sectors_and_teaches_nothing() -> None:
     outputs = _corrected(Still(), Settings(), pairs=4, misstamped=(2,))
     assert [rotation.matches > 0 for rotation in _of(RelativeRotation, outputs)] == [True, True, False, True]

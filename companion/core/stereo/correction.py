@@ -128,6 +128,7 @@ class Correction:
     def _correct(self, waiting: PendingPair, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
         matches, middle_ns = waiting.matches, int(waiting.matches.mid_exposure_ns.sum()) // 2
         reason = tracker.distrust or waiting.stamps or ground_reject(self.vehicle.on_ground(middle_ns))
+        self._doubtful(tracker.distrust)
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
             refused = left if isinstance(left, Reject) else right
@@ -137,7 +138,6 @@ class Correction:
         yield left
         yield right
         motion = self.vehicle.motion(middle_ns)
-        self._doubtful(tracker.distrust)
         turned = self._turned(waiting, (left, right), motion, use_matches=reason is None)
         yield turned
         joint, attitude_rad = self.drift_filter.joint_covariance, self.vehicle.attitude(middle_ns)
@@ -181,7 +181,10 @@ class Correction:
         return range_m**2 / self.rig.baseline_m * float(np.sqrt(turned.slow_covariance[YAW, YAW]))
 
     def _doubtful(self, reason: Reject | None) -> None:
-        """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew."""
+        """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew.
+
+        A pair that gets no bend counts too: the tracker may be distrusted then (or not, in a short gap of the root).
+        """
         if reason is None and self._distrusted and self.drift_filter.has_matches:
             self._reopen()
         self._distrusted = reason is not None
