@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from companion.core.kernels.arrays import Epochs
+from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Deflection, ImuBatch, ModeState, Reject, Station, Validity
@@ -208,6 +210,35 @@ def test_biases_that_are_known_exactly_are_those_that_hardly_may_be_wrong(bias: 
         assert isinstance(smoothed, Deflection)
         sigmas.append([*np.sqrt(np.diag(smoothed.covariance)), smoothed.slow_slope_sigma_rad])
     np.testing.assert_allclose(sigmas[0], sigmas[1], rtol=1e-3)
+
+
+def test_without_adaptation_a_tips_clock_restarts_without_the_tracker() -> None:
+    t, values = swinging(10.6, 0.005)
+    tracker, _ = _run(t, values, every_ms=200, adapt=0)
+    assert tracker.distrust is None
+    tracker.clock_restarted([Station.LEFT])
+    assert tracker.distrust is None
+
+
+def test_adaptation_that_is_switched_off_in_flight_cuts_runs_no_more(
+    moving: tuple[np.ndarray, dict[Station, np.ndarray]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40 ms before a fit is due: each run was cut every 40 ms from then on."""
+    t, values = moving
+    tracker, _ = _run(t[:3000], {station: v[:3000] for station, v in values.items()})
+    tracker.adopt(Settings(adapt=0))
+    runs: list[int] = []
+    filtered = SeparatedBiasFilter.run
+
+    def counted(kalman: SeparatedBiasFilter, epochs: Epochs) -> None:
+        runs.append(epochs.length)
+        filtered(kalman, epochs)
+
+    monkeypatch.setattr(SeparatedBiasFilter, "run", counted)
+    for station, v in values.items():
+        tracker.add(batch(station, t[3000:], v[3000:]))
+    tracker.advance(EPOCH_NS + 4000 * MS)
+    assert max(runs) > 200
 
 
 def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:

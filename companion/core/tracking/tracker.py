@@ -186,7 +186,7 @@ class WingTracker:
         """Filter the next ``count`` epochs and adapt the parameters."""
         epochs = self._front_end.epochs(self._next_ns, self._step_ns, count)
         self._next_ns += count * self._step_ns
-        for segment in self._adaptation.split(epochs):
+        for segment in self._adaptation.split(epochs, fits=bool(self._settings.adapt)):
             self._kalman.run(segment)
             if self._lost(segment.length):
                 self._restart()

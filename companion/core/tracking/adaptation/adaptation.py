@@ -95,11 +95,18 @@ class Adaptation:
 
     @property
     def early(self) -> bool:
-        """Whether the history is still to be stored."""
+        """Whether the tracker began so lately that it starts again rather than mend what it has."""
         return self._count < round(EARLY_S / self._step_s)
 
-    def split(self, epochs: Epochs) -> Iterator[Epochs]:
-        """Cut a run where parameters may change, so that the spacing of calls changes nothing."""
+    def split(self, epochs: Epochs, *, fits: bool = True) -> Iterator[Epochs]:
+        """Cut a run where parameters may change, so that the spacing of calls changes nothing.
+
+        Where ``fits`` is False nothing is fitted or stored: the run is whole, and time goes by.
+        """
+        if not fits:
+            yield epochs
+            self._count += epochs.length
+            return
         at = 0
         while at < epochs.length:
             until = self._next if self._due is None else min(self._next, self._due)
