@@ -128,7 +128,7 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         clock, t_ns = ClockName.HOST, converted[0]
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
-        state.unsynced_nodes.note_root(batch.t_ns, batch.values)
+        state.unsynced_nodes.note_root(batch)
         if state.correction is not None and batch.axes & Axis.GYRO == Axis.GYRO:
             # a turn between two exposures lasts far longer than the filter's delay varies
             delay_ns = round(1e9 * lowpass_delay_s(state.airframe.root.lowpass_gyro_hz))

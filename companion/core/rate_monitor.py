@@ -11,6 +11,7 @@ from companion.params.airframe import Airframe
 from companion.records import ImuBatch, Ints, Station
 
 _WINDOW_NS = 2_000_000_000  # long enough for 10 samples of the slowest stream (choice)
+_LONGEST_NS = 10_000_000_000  # chosen, by arrival: stamps that have not gone on by a window until then tell no rate
 _ALIKE = 0.15  # two windows of a settled rate differ by less (choice)
 # chosen: of the airframe's rate; ArduPilot, which cuts intervals to ms, still gives 0.83 of 400 Hz
 _LEAST, _MOST = 0.7, 1.4
@@ -20,6 +21,7 @@ _SLOWEST_HZ = 5.0  # below it no mode is seen (choice)
 @dataclass(slots=True)
 class _Window:
     stamps: list[Ints] = field(default_factory=list)
+    begun_host_ns: int = 0
     spacing_hz: float = 0.0
 
 
@@ -36,9 +38,12 @@ class StreamRateMonitor:
 
     def note(self, batch: ImuBatch) -> None:
         """Take note of samples."""
-        stamps = self._windows.setdefault(batch.station, _Window()).stamps
-        if stamps and batch.t_ns[0] < stamps[-1][-1] - _WINDOW_NS:
-            stamps.clear()  # its clock restarted
+        window = self._windows.setdefault(batch.station, _Window())
+        stamps, received_ns = window.stamps, batch.received_host_ns
+        if stamps and (batch.t_ns[0] < stamps[-1][-1] - _WINDOW_NS or received_ns - window.begun_host_ns > _LONGEST_NS):
+            stamps.clear()  # its clock restarted, or stands still
+        if not stamps:
+            window.begun_host_ns = received_ns
         stamps.append(batch.t_ns)
 
     def changed(self, airframe: Airframe) -> Iterator[tuple[Station, float]]:

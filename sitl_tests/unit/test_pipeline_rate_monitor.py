@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from companion.core.pipeline import start, step
 from companion.core.rate_monitor import StreamRateMonitor
 from companion.params.files import load_airframe
-from companion.records import Axis, ClockName, ImuBatch, ModeState, Notice, Station, Validity
+from companion.params.settings import Settings
+from companion.records import Axis, ClockName, ImuBatch, ModeState, Notice, Station, Tick, Validity
 from sitl_tests.unit.pipeline_flight import S, inputs, run
 
 AIRFRAME = load_airframe("nadir-2m")
@@ -50,6 +53,26 @@ def test_stamps_in_steps_or_bursts_are_no_other_rate() -> None:
     t_s = np.arange(0.0, 12.0, 0.001)
     assert settled_on(np.floor(t_s * 500.0) / 500.0) == [], "steps of 2 ms"
     assert settled_on(np.floor(t_s * 200.0) / 200.0 + 5e-5 * (np.arange(len(t_s)) % 5)) == [], "bursts of five"
+
+
+def _stand_still(stamps_ns: np.ndarray, seconds: int) -> Iterator[ImuBatch]:
+    """Batches of these stamps for so long, 25 a second."""
+    for number in range(25 * seconds):
+        values = np.zeros((len(stamps_ns), 6))
+        received_ns = 10 * S + 40_000_000 * number
+        yield ImuBatch(Station.LEFT, ClockName.NODE_LEFT, stamps_ns + number, values, Axis.ALL, received_ns)
+
+
+def test_stamps_that_stand_still_fill_no_memory() -> None:
+    """However long the flight is: a clock that stands, or that counts nanoseconds for milliseconds."""
+    state = start(AIRFRAME, Settings())
+    for batch in _stand_still(np.full(4, 5 * S, np.int64), 150):
+        state, _ = step(state, batch)
+        state, _ = step(state, Tick(batch.received_host_ns))
+    alignment = state.unsynced_nodes._alignments[ClockName.NODE_LEFT]
+    assert len(state.rate_monitor._windows[Station.LEFT].stamps) <= 251
+    assert len(alignment._node.stamps) == len(alignment._node.values) <= 1601
+    assert len(alignment._arrivals) <= 1601
 
 
 def test_a_restarted_clock_is_no_other_rate() -> None:

@@ -46,6 +46,7 @@ _LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs fro
 _NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay (choice)
 _GAUSS_NEWTON_STEPS = 4  # chosen: steps after the coarse search, which is near; more move nothing
 _BUFFER_S = 32.0  # the longer window and the largest delay (derived)
+_HELD_NS = 64_000_000_000  # by arrival, twice that: a clock that stands still fills no window (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +63,20 @@ class _Series:
 
     stamps: list[Ints] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
+    received_ns: list[int] = field(default_factory=list)
 
-    def add(self, t_ns: Ints, values: Floats) -> None:
+    def add(self, t_ns: Ints, values: Floats, received_ns: int) -> None:
         if self.stamps and t_ns[0] < self.stamps[-1][-1] - 1_000_000_000:
             self.stamps.clear()  # its clock restarted
             self.values.clear()
+            self.received_ns.clear()
         self.stamps.append(t_ns)
         self.values.append(values)
-        while self.stamps[-1][-1] - self.stamps[0][-1] > _BUFFER_S * 1e9:
-            del self.stamps[0], self.values[0]
+        self.received_ns.append(received_ns)
+        while (
+            self.stamps[-1][-1] - self.stamps[0][-1] > _BUFFER_S * 1e9 or received_ns - self.received_ns[0] > _HELD_NS
+        ):
+            del self.stamps[0], self.values[0], self.received_ns[0]
 
     def joined(self) -> tuple[Ints, Floats]:
         t_ns = np.concatenate(self.stamps)
@@ -106,17 +112,19 @@ class MotionAlignment:
     def add_node(self, batch: ImuBatch) -> None:
         """Take samples of the node, stamps on its own clock."""
         self._turns = [k for k, axis in enumerate((Axis.P, Axis.Q, Axis.R)) if axis & batch.axes]
-        self._node.add(batch.t_ns, batch.values)
+        self._node.add(batch.t_ns, batch.values, batch.received_host_ns)
         newest = int(batch.t_ns[-1])
         if self._arrivals and newest < self._arrivals[-1][0] - 1_000_000_000:
             self._arrivals.clear()
         self._arrivals.append((newest, batch.received_host_ns))
-        while self._arrivals[-1][0] - self._arrivals[0][0] > _BUFFER_S * 1e9:
+        while (
+            newest - self._arrivals[0][0] > _BUFFER_S * 1e9 or batch.received_host_ns - self._arrivals[0][1] > _HELD_NS
+        ):
             del self._arrivals[0]
 
-    def add_root(self, t_host_ns: Ints, values: Floats) -> None:
-        """Take samples of the autopilot's IMU, (n,) and (n, 6), in host time."""
-        self._root.add(t_host_ns, values)
+    def add_root(self, batch: ImuBatch) -> None:
+        """Take samples of the autopilot's IMU, in host time."""
+        self._root.add(batch.t_ns, batch.values, batch.received_host_ns)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
         """Alignments due by now, as exchanges."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from companion.core.clock.motion_alignment import MotionAlignment
 from companion.params.airframe import Sensor
-from companion.records import ClockName, Floats, ImuBatch, Ints, TimesyncReply
+from companion.records import ClockName, ImuBatch, TimesyncReply
 
 _PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered (choice)
 _NODES = (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)
@@ -39,10 +39,10 @@ class UnsyncedNodes:
             alignment.add_node(batch)
             alignment.sensors(sensor, root)
 
-    def note_root(self, t_host_ns: Ints, values: Floats) -> None:
-        """Take samples of the autopilot's IMU, (n,) and (n, 6), in host time."""
+    def note_root(self, batch: ImuBatch) -> None:
+        """Take samples of the autopilot's IMU, in host time."""
         for alignment in self._alignments.values():
-            alignment.add_root(t_host_ns, values)
+            alignment.add_root(batch)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
         """Alignments of all unsynced nodes due by now, as exchanges."""
