@@ -99,6 +99,16 @@ def test_of_a_run_4_ms_are_held_once_there_were_others_and_the_rest_is_a_gap(fir
     assert values[np.searchsorted(t_ns, SECOND + (first + 3) * 1_000_000), 2] == pytest.approx(LIMIT_MPS2, rel=0.02)
 
 
+def test_the_third_run_within_seconds_is_held() -> None:
+    vertical = np.full(8_000, -9.8)
+    for first in (1_000, 4_000, 7_000):
+        vertical[first : first + 3] = 1e3
+    stream, _, counted = _fed(vertical)
+    assert counted == 9
+    missing = np.flatnonzero(np.diff(stream.samples()[0]) > 1_000_000)
+    assert missing.tolist() == [999, 3_996], "the first two, three samples each"
+
+
 def test_a_single_run_is_no_vibration_and_becomes_a_gap() -> None:
     vertical = np.full(800, -9.8)
     vertical[400:404] = 1e3

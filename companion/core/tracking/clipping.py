@@ -7,7 +7,8 @@ import numpy as np
 from companion.records import Bools, Floats
 
 _SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
-_FEWEST_RUNS = 3.0  # chosen, of the last half minute: a fault of the electronics comes seldomer
+# chosen, of the last half minute: the third within seconds is held; a fault of the electronics comes seldomer
+_FEWEST_RUNS = 2.5
 _RUNS_MEMORY_S = 30.0  # chosen: a vibration that rarely reaches the limit is one still
 _NO_RUN = 0.01  # chosen: two minutes behind the last
 _MEMORY_S = 4.0  # chosen: the share of a vibration that swells and fades within a second would add its own noise
