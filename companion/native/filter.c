@@ -387,7 +387,7 @@ static void sum_innovation(run *f, int64_t slot)
 }
 
 /* Cholesky factor L of S in place, diagonal inverted, and the whitened innovation; false without one. `robust`: the
- * pivot of each row beyond the gate is raised until its innovation lies on the gate (Huber). */
+ * pivot p of each row with an innovation e beyond the gate is raised to |e| sqrt(p) / GATE_SIGMAS (Huber's weight). */
 static bool factorise(run *f, bool robust)
 {
     for (int64_t r = 0; r < f->count; r++) {
@@ -445,7 +445,8 @@ static bool gate(run *f, int64_t k, double *excess)
     return gated;
 }
 
-/* Factor on the process noise that puts the innovations of the gated vertical rows on the gate. */
+/* Factor on the process noise that adds e^2 - GATE_SIGMAS^2 S to the variance S of each gated vertical row at least: a
+ * large innovation e then lies at about one sigma. */
 static double inflate_process_noise(const run *f, double before)
 {
     double inflation = before;

@@ -4,12 +4,13 @@ The equations are in :mod:`companion.core.tracking.filter`. The loop is C and pr
 whitens them: with ``S = L L^T`` the history holds ``L^-1 H``, ``L^-1 e`` and ``L^-1 C^T``, from which gain,
 likelihood and smoother follow as products.
 
-Process and measurement noise have heavy tails. An innovation of a vertical row beyond the gate raises the process noise
-of that step until the innovation lies on the gate: the state follows a blow, and its covariance says so. Any other row
-beyond the gate is given the variance that puts it on the gate (Huber). The bias parameters learn nothing from such a
-step. Where the root is struck, the load factor then measured bends no wing: modes and loads become as uncertain as
-those of an unknown gust. A step's normalised innovation squared (NIS) is counted as without the inflation, but bounded:
-a blow of 20 ms is no contradiction of the model, a lasting one is.
+Process and measurement noise have heavy tails. An innovation e of a vertical row beyond the gate of 5 sigma raises the
+process noise of that step until the row's variance S is larger by ``e^2 - 25 S``, so that a large e lies at about one
+sigma: the state follows a blow, and its covariance says so. Any other row beyond the gate is given the variance
+``|e| sqrt(S) / 5``, that is Huber's weight ``5 sqrt(S) / |e|``. The bias parameters learn nothing from such a step.
+Where the root is struck, the load factor then measured bends no wing: modes and loads become as uncertain as those of
+an unknown gust. A step's normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow
+of 20 ms is no contradiction of the model, a lasting one is.
 """
 
 from __future__ import annotations

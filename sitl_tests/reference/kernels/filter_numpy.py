@@ -156,7 +156,7 @@ def _whiten(cholesky: Floats, rows: Floats) -> Floats:
 def _inflate_process_noise(
     model: DiscreteModel, used: Ints, gated: Bools, row_innovation: Floats, predicted_variance: Floats, before: float
 ) -> float:
-    """Factor on the process noise that puts the innovations of the gated vertical rows on the gate."""
+    """Factor on the process noise that adds what the gate leaves of a gated vertical row's square to its variance."""
     vertical = gated & (used < M_LEFT)
     uncovered = row_innovation**2 - GATE_SIGMAS**2 * predicted_variance
     needed = uncovered[vertical] / np.diag(model.load_noise_in_rows)[used[vertical]]
@@ -173,7 +173,7 @@ def _gate_excess(gated: Bools, row_innovation: Floats, predicted_variance: Float
 
 
 def _robust_cholesky(S: Floats, row_innovation: Floats) -> Floats | None:
-    """Cholesky factor, row by row, with the pivot of each row beyond the gate raised until it lies on it (Huber)."""
+    """Cholesky factor, row by row, with the pivot of each row beyond the gate raised by Huber's weight."""
     count = len(row_innovation)
     cholesky, whitened = np.zeros((count, count)), np.zeros(count)
     for r in range(count):
