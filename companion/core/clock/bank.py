@@ -43,8 +43,9 @@ class ClockBank:
         t_ns : (n,) int64
             Stamps on ``clock``, in any order.
         received_host_ns : int, optional
-            When they arrived. Give it for live samples: a stamp from the future, or from more than half a second ago,
-            is then refused, so that a restarted clock cannot stamp wrongly before its restart was noticed.
+            When they arrived. Give it for live samples: they are then refused where the newest is from the future, or
+            from more than half a second ago, so that a restarted clock cannot stamp wrongly before its restart was
+            noticed. Older ones may come with it.
 
         Returns
         -------
