@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import PairConditions, correct
-from companion.core.stereo.sectors import SECTORS, sectors_of
+from companion.core.stereo.sectors import SECTORS, matched_sectors, sectors_of
+from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import ObstacleSectors
 from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
@@ -50,6 +51,18 @@ def test_the_nearest_supported_distance_wins() -> None:
     sectors = _sectors(scene)
     assert sectors.distance_m[0] == pytest.approx(30.0)  # one lonely match at 12 m is no obstacle
     assert 0.0 < sectors.sigma_m[0] < 1.0
+
+
+def test_what_all_matches_share_is_larger_towards_the_edges() -> None:
+    """A toe moves a ray of slope x by ``1 + x^2``; in the middle the sigma is the range's own."""
+    x, inverse_pm, common_pm = np.repeat([0.0, 0.4], 3), 1.0 / 40.0, 1e-5
+    tangent = np.column_stack([x, np.zeros(6)])
+    depths = Depths(np.full(6, inverse_pm), np.full(6, 1e-9), tangent, np.zeros(6))
+    forwards = RangeAxis(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3)[1:])
+    sectors = matched_sectors(depths, forwards, common_pm, 77, SETTINGS)
+    assert np.flatnonzero(sectors.known).tolist() == [0, 4]
+    relative = sectors.sigma_m[[0, 4]] / sectors.distance_m[[0, 4]] * inverse_pm / common_pm
+    assert relative == pytest.approx([1.0, 1.16], rel=1e-6)
 
 
 def test_what_is_above_or_below_the_height_band_is_no_obstacle() -> None:

@@ -226,7 +226,7 @@ class _Scene:
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
     def sectors(self, matches: MatchSet, common_sigma_pm: float, settings: Settings) -> ObstacleSectors:
-        """Obstacle sectors of all matches, whose inverse depths share an error of this sigma, 1/m."""
+        """Obstacle sectors of all matches, whose inverse depths share an error of this sigma in the middle, 1/m."""
         depths, attitude_rad = self.depths(matches), self.conditions.attitude_rad
         return matched_sectors(depths, self.range_axis, common_sigma_pm, self.t_host_ns, settings, attitude_rad)
 

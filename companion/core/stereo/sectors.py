@@ -40,7 +40,8 @@ def matched_sectors(
     range_axis : RangeAxis
         Axis along which they are depths.
     common_sigma_pm : float
-        One-sigma of the inverse depth that all matches share (bend, calibration).
+        One-sigma, in the middle, of the inverse depth that all matches share (bend, calibration). A toe moves the slope
+        x of a ray by ``1 + x^2``, and so this sigma grows towards the edges.
     t_host_ns : int
         Time of the pair.
     settings : Settings
@@ -50,7 +51,8 @@ def matched_sectors(
         the flight's level; without them from the body's own axes.
     """
     inliers = consistent(depths)
-    inverse, sigma = depths.inverse_pm[inliers], np.hypot(depths.sigma_pm[inliers], common_sigma_pm)
+    inverse, along_wings = depths.inverse_pm[inliers], depths.tangent[inliers, 0]
+    sigma = np.hypot(depths.sigma_pm[inliers], common_sigma_pm * (1.0 + along_wings**2))
     along = range_axis.axis + depths.tangent[inliers] @ range_axis.across
     level = np.eye(3) if attitude_rad is None else level_from_body(*attitude_rad)
     return sectors_of(along @ level.T, inverse, sigma, level @ range_axis.origin_m, t_host_ns, settings)
