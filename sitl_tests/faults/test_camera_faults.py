@@ -15,7 +15,7 @@ _BY_NAME = {fault.name: fault for fault in FAULTS}
     ("airframe", "name"),
     [
         ("nadir-2m", "a camera knocked by 2 mrad"),
-        ("forward-2m", "a camera knocked by 5 mrad"),
+        pytest.param("forward-2m", "a camera knocked by 5 mrad", marks=pytest.mark.long),
         pytest.param("nadir-2m", "none", marks=pytest.mark.long),
         pytest.param("forward-2m", "none", marks=pytest.mark.long),
         pytest.param("forward-2m", "a camera knocked by 2 mrad", marks=pytest.mark.long),
@@ -50,7 +50,7 @@ def test_late_stamps_publish_nothing_wrong(name: str) -> None:
     assert outcome.trusted > 0.5 * outcome.judged
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_left_stamps_late_in_a_row_teach_a_forward_pair_no_offset() -> None:
     """Without regard to the learned latency, 27 ranges of this flight were trusted and wrong."""
     outcome = fly("forward-2m", _BY_NAME["a fifth of the left stamps 15 ms late"], 2, _FAR)

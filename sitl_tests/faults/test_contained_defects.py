@@ -62,7 +62,7 @@ def internal(tape: Any) -> int:
     return sum(entry.count for entry in tape.of(Rejected) if entry.reason is Reject.INTERNAL_ERROR)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tick_that_raises_costs_seconds_and_a_replay_repeats_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

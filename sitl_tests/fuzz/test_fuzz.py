@@ -16,8 +16,8 @@ from sitl_tests.fuzz.runner import TooSlow, fuzz, make_case
 from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.fuzz.targets import NAMES, make_target
 
-CASES = {"decoder": 100, "flight": 3, "tlog": 60, "mcap": 80, "images": 300, "replay": 12, "doctor": 30}
-USUAL_CASES = 200
+CASES = {"decoder": 100, "flight": 2, "tlog": 60, "mcap": 60, "images": 200, "replay": 6, "doctor": 12}
+USUAL_CASES = 120
 
 
 @pytest.mark.slow

@@ -210,7 +210,7 @@ def busy_machine() -> Iterator[None]:
             loop.wait()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_two_demos_of_one_seed_are_equal_to_the_bit_though_one_flew_on_a_busy_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

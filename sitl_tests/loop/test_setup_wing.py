@@ -27,7 +27,7 @@ def lines(text: str, word: str) -> list[str]:
     return [line.split(None, 1)[1] for line in text.splitlines() if line.strip().startswith(word)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wing_that_is_wired_right_passes_by_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*COMMAND, *HANDLED]) == 0
     said = capsys.readouterr().out

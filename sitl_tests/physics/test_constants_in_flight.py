@@ -21,7 +21,7 @@ JUDGED = ("trim", "bend_per_g", "slope.symmetric", *TIPS)
 @pytest.mark.parametrize(
     ("number", "sensors"),
     [
-        (CALM, "vertical"),
+        pytest.param(CALM, "vertical", marks=pytest.mark.long),
         (STRONG, "6-axis"),
         pytest.param(CALM, "6-axis", marks=pytest.mark.long),
         pytest.param(STRONG, "vertical", marks=pytest.mark.long),

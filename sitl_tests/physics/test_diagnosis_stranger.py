@@ -55,7 +55,11 @@ def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flight", [Flight(62), Flight(63, rate_hz=800.0, decimals=3)], ids=["1 kHz", "whole ms"])
+@pytest.mark.parametrize(
+    "flight",
+    [pytest.param(Flight(62), marks=pytest.mark.long), Flight(63, rate_hz=800.0, decimals=3)],
+    ids=["1 kHz", "whole ms"],
+)
 def test_a_noisier_sensor_than_believed_is_no_fault(tmp_path: Path, flight: Flight) -> None:
     assert diagnosed(tmp_path, flight)["verdict"] == "adequate"
 
@@ -134,7 +138,7 @@ def test_another_hand_s_form_of_an_effect_is_explained_by_its_name(
         assert abs(fitted.values[place] - value) < 3.0 * fitted.spread[place] + 0.03 * abs(value)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_late_stream_is_named_with_its_delay(tmp_path: Path) -> None:
     diagnosis = diagnosed(tmp_path, Flight(12, right_late_s=0.004, rate_hz=400.0))
     assert diagnosis["verdict"] == "explained"

@@ -328,6 +328,7 @@ def test_leaving_out_what_is_hidden_changes_no_pixel(near_m: float, east_m: floa
     assert np.max(np.abs(together - one_by_one)) < 1e-3
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(
     bend=st.floats(-0.25, 0.1),

@@ -225,7 +225,7 @@ def test_slope_rate_is_the_derivative_of_slope_between_knots(demo: Flight) -> No
         np.testing.assert_allclose(here.slope_rate_radps, (after.slope_rad - before.slope_rad) / 2e-5, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_deflection_about_its_static_value_has_the_drawn_rms(airframe: Airframe) -> None:
     squares = []
     for seed in range(6):

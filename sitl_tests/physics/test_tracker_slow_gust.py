@@ -47,8 +47,8 @@ def _toe(airframe: Airframe, seed: int) -> tuple[float, float, float]:
     return error, float(np.sqrt(bend.covariance[4:, 4:].sum())), float(np.std(true))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("axes", ["all", pytest.param("vertical", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("axes", ["all", "vertical"])
 def test_a_slow_gust_is_no_misalignment(axes: str) -> None:
     """Before it was left open how slow the load is, six axes were up to 7 sigma off, each flight another way."""
     error, sigma, swing = np.array([_toe(_airframe(axes), seed) for seed in range(1, FLIGHTS + 1)]).T

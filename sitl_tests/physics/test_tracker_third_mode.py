@@ -80,6 +80,7 @@ def rms(modes: int) -> Floats:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
+@pytest.mark.long
 def test_a_third_mode_that_is_believed_in_makes_neither_deflection_nor_slope_worse() -> None:
     with_third, without = rms(3), rms(2)
     assert with_third[0] <= without[0]

@@ -47,7 +47,7 @@ def test_a_steady_pull_up_bends_by_the_bend_per_g() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kappa", [1500.0, -800.0])
+@pytest.mark.parametrize("kappa", [pytest.param(1500.0, marks=pytest.mark.long), -800.0])
 def test_a_cubic_spring_rings_higher_by_three_eighths_kappa_a_squared(kappa: float) -> None:
     amplitude = 0.008
     model = WingModel(_wing(0.0), (CubicStiffness(kappa),))

@@ -196,7 +196,7 @@ def test_a_flow_that_suddenly_contradicts_withholds_ranges_and_the_rest_is_hones
     assert figures["wrong"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stamps_of_a_usb_camera_leave_an_honest_toe(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stamps good to 3 ms, as stated: counted as 0.1 ms, 84 of 110 ranges were trusted, of 7 squared sigmas."""
     believed = CampaignRow.belief
@@ -215,7 +215,7 @@ def test_stamps_of_a_usb_camera_leave_an_honest_toe(monkeypatch: pytest.MonkeyPa
     assert figures["wrong"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_landing_before_obstacles_publishes_no_wrong_range_ahead() -> None:
     """Boards ahead, ground below, a sink of 5 m/s between unequal exposures: six ranges were 15 to 26 % too short."""
     row = CampaignRow("ideal", "forward-2m", "6-axis", ON_GROUND)

@@ -129,7 +129,7 @@ def cell_means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
     return np.asarray(np.interp(fine, t_s, values)[: 10 * (len(edges) - 1)].reshape(-1, 10).mean(axis=1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_heave_and_roll_align_a_tip_without_gyro_and_the_sigma_is_honest() -> None:
     """Perturbed wings that bend, in gusts, rolls and pull-ups; most are used, and the others said to be too bad."""
     estimates = []

@@ -77,6 +77,7 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
         assert np.isfinite(z).all()
 
 
+@pytest.mark.long
 def test_a_drifting_clock_beside_strong_kicks_is_standard_normal_by_chance() -> None:
     """Three kicks are no matter of chance: what they tell of a clock adds to what a minute of gust tells."""
     kicks = {"at1_s": 4.0, "at2_s": 15.0, "at3_s": 26.0} | {

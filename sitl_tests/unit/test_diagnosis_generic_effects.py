@@ -235,7 +235,7 @@ def test_a_second_mode_named_torsion_is_seen_by_the_cameras_that_it_tilts() -> N
     assert abs(named["second-mode"][tilted]) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_is() -> None:
     """At 10 dB nothing but the priors of their strengths ranks the two; the cameras see neither."""
     hidden = Hidden({"second-mode": 0.0042}, extra={"second-mode.frequency_hz": 27.0, "loudness": 1.3})
@@ -284,7 +284,7 @@ def test_a_mount_is_screened_from_where_it_rings_if_exposures_go_together() -> N
     assert not neighbours_go_together(fit([still], ()).state.expectations[0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_more() -> None:
     """Ranges that are wrong by a constant share are no focal length, which would stretch the bending, too."""
     model = flown(**{"baseline-error": 0.12})
@@ -298,7 +298,7 @@ def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_mor
     assert not without.causes
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_slip_is_not_said_beside_a_spring_that_is_softer_throughout() -> None:
     """A frequency 7 % low is hysteresis as far as tests tell, and likelier a spring force of that ratio."""
     kinds = [catalogue()[name] for name in ("hysteresis", "frequency-shift")]
@@ -307,7 +307,7 @@ def test_a_slip_is_not_said_beside_a_spring_that_is_softer_throughout() -> None:
     assert [cause.term.effect.name for cause in named.causes] == ["frequency-shift"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_slip_is_not_said_of_a_spring_that_is_softer_throughout() -> None:
     without = diagnose([flown(**{"frequency-shift": -0.0727})], [catalogue()["hysteresis"]], 1)
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED

@@ -52,7 +52,7 @@ def test_a_spring_that_slips_comes_out_with_its_damping() -> None:
     assert abs(tests["force with speed times its amount"]) < 3.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_spring_that_yields_bit_by_bit_is_fitted_on_the_higher_of_its_hills(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four springs that slip from 1.1 to 4.3 mm: from the yield whose score is best a fit ends at 0.5 mm."""
     label = hide([], (8.0, 8.0), np.random.default_rng(6))

@@ -75,7 +75,7 @@ def _stranger(name: str, seed: int) -> FlightModel:
     return model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_filter_of_the_sensors_is_not_taken_for_a_late_exposure() -> None:
     """Ranges alone confuse them; where the filter is no longer offered, nothing is named."""
     model = _stranger("sensor-filter", 41)

@@ -142,7 +142,10 @@ def test_springs_that_slip_lose_a_larger_share_the_further_they_swing() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "offered"),
-    [("sensor-filter", ("exposure-delay", "coloured-gust")), ("hysteresis", ("frequency-shift", "quadratic-damping"))],
+    [
+        pytest.param("sensor-filter", ("exposure-delay", "coloured-gust"), marks=pytest.mark.long),
+        ("hysteresis", ("frequency-shift", "quadratic-damping")),
+    ],
 )
 def test_two_names_do_not_stand_for_one_law_that_has_none(hidden: str, offered: tuple[str, ...]) -> None:
     label = FIRST.hide([hidden], (8.0, 9.0), np.random.default_rng(3), 20.0)
@@ -157,7 +160,7 @@ def test_two_names_do_not_stand_for_one_law_that_has_none(hidden: str, offered: 
     ("hidden", "size"),
     [
         pytest.param("clock-step", 0.004, marks=pytest.mark.long),
-        ("crosstalk", 0.15),
+        pytest.param("crosstalk", 0.15, marks=pytest.mark.long),
         pytest.param("mount-play", 0.002, marks=pytest.mark.long),
     ],
 )

@@ -90,7 +90,7 @@ def _stranger(effects: dict[str, float], **extra: float) -> FlightModel:
     return model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_left_clock_that_was_right_in_mid_flight_is_named_and_no_law_is_ahead() -> None:
     drifts = _stranger({"clock-skew": -0.009}, **{"clock-skew.set_at": 0.5, "clock-skew.node": 0.0})
     diagnosis = diagnose([drifts], [catalogue()[name] for name in ("clock-skew", "stream-delay", "torsion-coupling")])

@@ -107,6 +107,7 @@ def test_a_part_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     assert results([path], out, 1)["one"]["letters"] == 1
 
 
+@pytest.mark.long
 def test_a_killed_worker_costs_nothing_but_time_and_a_deadly_file_only_itself(tmp_path: Path) -> None:
     paths = files(tmp_path, "once", "deadly", "other", "more")
     got = results(paths, tmp_path / "out", 2)

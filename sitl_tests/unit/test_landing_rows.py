@@ -76,6 +76,7 @@ def test_a_landing_is_told_in_a_line() -> None:
     assert sentence(ROWS[3]).endswith("went around (slope too steep)")
 
 
+@pytest.mark.long
 def test_a_false_reading_comes_once_for_a_tenth_of_a_second_and_the_truth_is_untouched() -> None:
     landing = LandingFlight(load_airframe("nadir-2m"), 4, gusts=False, approach=Approach(height_m=50.0, level_s=1.0))
     false, true = OneFalseReading(landing, (100.0, 120.0)), TrueRange(landing)

@@ -81,7 +81,7 @@ def test_a_barometer_too_low_by_much_makes_the_slope_too_steep() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("gusts", "sink_mps"), [(False, 0.9), (True, 2.2)])
+@pytest.mark.parametrize(("gusts", "sink_mps"), [pytest.param(False, 0.9, marks=pytest.mark.long), (True, 2.2)])
 def test_with_the_true_range_it_lands_by_the_point(gusts: bool, sink_mps: float) -> None:
     """The barometer is metres off; wheels meet the ground softly, wings level, near the runway's line."""
     for seed in (1, 4):

@@ -166,7 +166,9 @@ def test_a_burst_of_20_ms_costs_no_trust(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("peak_mps2", [1.0, 3.0, 10.0, -10.0])
+@pytest.mark.parametrize(
+    "peak_mps2", [pytest.param(1.0, marks=pytest.mark.long), 3.0, pytest.param(10.0, marks=pytest.mark.long), -10.0]
+)
 def test_a_blow_that_the_wing_answers_costs_no_trust(peak_mps2: float) -> None:
     plan = dataclasses.replace(demo_plan(END_S + 1.0), jolts=(Jolt(STRUCK_S, peak_mps2),))
     following = Following(build_flight(load_airframe("nadir-2m"), 6, END_S + 1.0, plan=plan))

@@ -37,6 +37,7 @@ def test_the_fuselage_recoils_against_the_tips() -> None:
     assert modes.tip_free == pytest.approx(modes.tip + modes.heave + arms * modes.roll_radpm, abs=1e-9)
 
 
+@pytest.mark.long
 def test_tips_feel_the_roll_of_the_fuselage_once() -> None:
     """Tips rise against the ground as much as their free modes do: roll that the gyro shows is no further motion."""
     rng = np.random.default_rng(4)

@@ -102,13 +102,13 @@ def test_a_trial_of_nothing_is_the_flight_as_it_was_published(flight: Path) -> N
     assert got.trusted > 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shorter_lag_gives_earlier_ranges_by_as_much(flight: Path) -> None:
     early, late = tried(flight, ("TRK_LAG", 0.25)).delay_s, tried(flight).delay_s
     assert late - early == pytest.approx(float(Settings().values()["TRK_LAG"]) - 0.25, abs=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_shots_are_those_of_the_trial_s_own_plans(flight: Path) -> None:
     """Half the rate fires at most half as often, and a larger allowed sigma skips no peak more."""
     flown, half, lenient = tried(flight), tried(flight, ("TRG_RATE", 5.0)), tried(flight, ("TRG_SIGMA", 0.05))
@@ -122,7 +122,7 @@ def test_a_stricter_limit_of_trust_lets_fewer_ranges_pass(flight: Path) -> None:
     assert tried(flight, ("RNG_TRUST", 0.006)).trusted < tried(flight).trusted
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_prints_the_same_for_one_process_and_for_two(
     flight: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
