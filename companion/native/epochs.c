@@ -217,7 +217,7 @@ static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, 
     int vertical = Z_LEFT + side, lateral = Y_LEFT + side, roll = P_LEFT + side;
     set(j, vertical, columns[KZ], scaled_z);
     set(j, M_LEFT + side, columns[KZ], moment);
-    set(j, lateral, columns[KZ], -scaled_y * gain);
+    set(j, lateral, columns[KZ], -(y - now[1]) * gain);
     set(j, lateral, columns[KY], scaled_y * gain);
     set(j, roll, columns[KP], scaled_p);
     set(j, vertical, columns[MX], -before[1]);
@@ -227,7 +227,7 @@ static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, 
     set(j, lateral, columns[MZ], -before[0] * gain);
     set(j, roll, columns[MZ], turn[1]);
     set(j, vertical, columns[TAU], -rate[2]);
-    set(j, lateral, columns[TAU], -(rate[1] - y * rate[2] * fabs(gain) * sign_of(z)) * gain);
+    set(j, lateral, columns[TAU], -(rate[1] - (y - now[1]) * rate[2] * fabs(gain) * sign_of(z)) * gain);
     set(j, roll, columns[TAU], -rate[3]);
 }
 

@@ -117,3 +117,31 @@ def test_what_is_lost_between_samples_is_each_tips_own() -> None:
     alike, apart = (0.5 * np.array([1.0, sign]) @ lost @ np.array([1.0, sign]) for sign in (1.0, -1.0))
     assert apart == pytest.approx(alike, rel=1e-6)
     assert apart > 0.0
+
+
+@pytest.mark.parametrize("error", ["kz", "ky", "tau"])
+def test_an_error_of_a_tip_that_leans_in_a_side_force_moves_its_slope_as_said(error: str) -> None:
+    """Against the slope itself, from samples with the error and without: a side force that both feel is no lean."""
+    airframe = plain_airframe()
+    layout, size = make_layout(airframe), 1e-4
+    lean_rad, beat_radps = 0.05, 2.0 * np.pi * 0.4
+
+    def measured(size: float) -> tuple[np.ndarray, np.ndarray]:
+        t, _ = swinging(0.8, 0.0)
+        streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
+        for station in Station:
+            off = size if station is Station.LEFT else 0.0
+            felt_s = (t - EPOCH_NS) * 1e-9 - (off if error == "tau" else 0.0)
+            side, down = 1.5 + 0.5 * np.sin(beat_radps * felt_s), -9.8 - 2.0 * np.cos(beat_radps * felt_s)
+            values = np.zeros((len(t), 6))
+            turn = lean_rad if station is Station.LEFT else 0.0
+            values[:, 1] = (side * np.cos(turn) + down * np.sin(turn)) * (1.0 + (off if error == "ky" else 0.0))
+            values[:, 2] = (down * np.cos(turn) - side * np.sin(turn)) * (1.0 + (off if error == "kz" else 0.0))
+            streams[station].add(batch(station, t, values), 0)
+        epochs = _builder(airframe, layout, streams).epochs(EPOCH_NS + 25 * STEP_NS, STEP_NS, 150)
+        return epochs.rows[:, Y_LEFT], epochs.sensitivity[:, Y_LEFT]
+
+    (with_error, _), (without, _) = measured(size), measured(-size)
+    jacobian = (with_error - without) / (2.0 * size)
+    said = measured(0.0)[1][:, layout.bias_parameters.index(f"left.{error}")]
+    np.testing.assert_allclose(said[5:-5], jacobian[5:-5], rtol=0.05, atol=0.03 * np.abs(jacobian).max())

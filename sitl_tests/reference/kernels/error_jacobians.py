@@ -102,9 +102,10 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     rigid, omega = (_mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
     vertical, lateral, roll = Z_LEFT + side, Y_LEFT + side, P_LEFT + side
     scaled_y, scaled_z = with_earlier_rigid(motion, side, 1), with_earlier_rigid(motion, side, 2)
+    lean = y - motion.rigid[:, side, 1]
     _set_column(out, vertical, columns[_KZ], scaled_z)
     _set_column(out, M_LEFT + side, columns[_KZ], motion.moment[:, side])
-    _set_column(out, lateral, columns[_KZ], -scaled_y * gain)
+    _set_column(out, lateral, columns[_KZ], -lean * gain)
     _set_column(out, lateral, columns[_KY], scaled_y * gain)
     _set_column(out, roll, columns[_KP], p + _earlier_less_present_roll(motion))
     _set_column(out, vertical, columns[_MX], -rigid[:, 1])
@@ -114,7 +115,7 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     _set_column(out, lateral, columns[_MZ], -rigid[:, 0] * gain)
     _set_column(out, roll, columns[_MZ], omega[:, 1])
     _set_column(out, vertical, columns[_TAU], -dz)
-    _set_column(out, lateral, columns[_TAU], -(dy - y * dz * np.abs(gain) * np.sign(z)) * gain)
+    _set_column(out, lateral, columns[_TAU], -(dy - lean * dz * np.abs(gain) * np.sign(z)) * gain)
     _set_column(out, roll, columns[_TAU], -dp)
 
 
