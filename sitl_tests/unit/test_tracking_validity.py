@@ -29,10 +29,10 @@ GOOD = {
 }
 WORSE = [
     (Validity.STALE, {"stale": True}),
-    (Validity.SATURATED, {"saturated": True}),
     (Validity.INCONSISTENT, {"nis": 3.1}),
     (Validity.INCONSISTENT, {"deflection_sigmas": 6.1}),
     (Validity.SETTLING, {"settled": False}),
+    (Validity.SATURATED, {"saturated": True}),
     (Validity.CALM, {"rms_m": np.array([0.00011, 0.00011]), "calm_rms_m": 0.0002}),
     (Validity.AMBIGUOUS, {"ambiguous": True}),
 ]

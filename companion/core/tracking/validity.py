@@ -131,12 +131,12 @@ def classify_validity(
     """Validity of the estimate; the gravest reason wins. ``rms_m`` (2,) is the vibration of both families."""
     if stale:
         return Validity.STALE
-    if saturated:
-        return Validity.SATURATED
     if nis > NIS_LIMIT or deflection_sigmas > _MOST_SIGMAS:
         return Validity.INCONSISTENT
     if not settled:
         return Validity.SETTLING
+    if saturated:  # a few clipped samples cost no trust: they may not hide what does
+        return Validity.SATURATED
     symmetric_m, antisymmetric_m = rms_m.tolist()
     if math.sqrt(symmetric_m * symmetric_m + antisymmetric_m * antisymmetric_m) < calm_rms_m:
         return Validity.CALM
