@@ -69,8 +69,8 @@ typedef struct {
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
 
-    const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *row_sensitivity,
-        *aliasing_noise, *root_motion_variance;
+    const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *body_rate_radps,
+        *row_sensitivity, *aliasing_noise, *root_motion_variance;
     const uint8_t *present;
 
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
@@ -130,6 +130,21 @@ static void select_rows(run *f, const uint8_t *present)
     }
 }
 
+/* Square of the body's turn about its x and y axes: a tip feels it times its lift, downward. */
+static double turn_squared(const run *f, int64_t k)
+{
+    return squared(f->linearised[ROLL_RATE]) + squared(f->body_rate_radps[3 * k + 1]);
+}
+
+/* Lift of a tip by all ranks. */
+static double lift_of_tip(const run *f, int side)
+{
+    double lift = 0.0;
+    for (int64_t a = 0; a < f->ranks; a++)
+        lift += f->linearised[MODES + a * EACH_RANK + side];
+    return lift;
+}
+
 /* Mean lift rates over step k by rank, from those at its start and the measured acceleration of all ranks together: of
  * higher ranks the expected part, of the first the rest. Returns the first rank's mean acceleration. */
 static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
@@ -137,7 +152,8 @@ static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
     const double *start = f->linearised + MODES + side + 2, *expected = start + 2;
     double slope = f->linearised[SLOPES + side], step_s = f->constants->step_s;
     double tilted = (0.5 * f->vertical_mps2[2 * k + side] * slope + f->lateral_mps2[2 * k + side]) * slope;
-    double first = f->lever_m[side] * f->linearised[ROLL_ACCELERATION] - f->rows[k * ROWS + Z_LEFT + side] - tilted;
+    double first = f->lever_m[side] * f->linearised[ROLL_ACCELERATION] - f->rows[k * ROWS + Z_LEFT + side] - tilted +
+                   turn_squared(f, k) * lift_of_tip(f, side);
     for (int64_t b = 1; b < f->ranks; b++) {
         first -= expected[b * EACH_RANK];
         rates[b] = start[b * EACH_RANK] + 0.5 * step_s * expected[b * EACH_RANK];
@@ -148,13 +164,14 @@ static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
     return first;
 }
 
-/* Motion of a tip in the turning body: Coriolis' and Euler's force by its lift w, and that of the bent wing's tip,
- * which moves inboard by half of K w^2. */
+/* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
+ * wing's tip, which moves inboard by half of K w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 {
     const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
     const double *K = f->shortening_pm + side * f->ranks * f->ranks;
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
+    double across = p_dot - f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
     double rates[MAX_RANKS], by_rates[MAX_RANKS], step_s = f->constants->step_s, linear = 0.0;
     double first = find_lift_rates(f, k, side, rates);
     double inside = -step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
@@ -172,14 +189,14 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
             tip.per_acceleration[b] -= b ? (shortening - of_first) * lift : 0.0;
         }
         by_rates[a] = by_rate;
-        tip.per_lift[a] = p_dot - by_lift;
+        tip.per_lift[a] = across - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += (1.0 - of_first * f->lever_m[side]) * lift; /* it lifts the tip as well */
         tip.per_measured -= of_first * lift;
         tip.inboard -= by_lift * lift + (by_rate + by_moment) * rates[a];
-        tip.force += p_dot * lift + 2.0 * p * rates[a];
-        tip.expected += p_dot * lift + 2.0 * p * start[a * EACH_RANK];
+        tip.force += across * lift + 2.0 * p * rates[a];
+        tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
     linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
@@ -215,6 +232,16 @@ static void add_moving_tip(const run *f, int side, double *out)
     }
 }
 
+/* Add a lifted tip's centripetal force, downward, to a vertical row (n + 1,). */
+static void add_turning_tip(const run *f, int64_t k, int side, double *out)
+{
+    const double *rows = f->linearisation_rows;
+    int64_t n = f->h.n + 1;
+    for (int64_t a = 0; a < f->ranks; a++)
+        add_scaled(out, rows + (MODES + a * EACH_RANK + side) * n, turn_squared(f, k), n);
+    add_scaled(out, rows + ROLL_RATE * n, 2.0 * f->linearised[ROLL_RATE] * lift_of_tip(f, side), n);
+}
+
 /* H of the used rows, with the tip's tilt linearised at the predicted state: through the tilt gravity shows slow
  * bending. */
 static void linearise_rows(run *f, int64_t k)
@@ -230,6 +257,8 @@ static void linearise_rows(run *f, int64_t k)
                        -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side] +
                          (1.0 - 2.0 * side) * f->tip[side].expected),
                        n);
+        if (r >= 0)
+            add_turning_tip(f, k, side, f->H + r * n);
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
             if (bias >= 0)
@@ -298,6 +327,7 @@ static void find_innovation(run *f, int64_t k, double *out)
         double vertical = f->vertical_mps2[2 * k + side];
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
+            out[r * width] += 2.0 * squared(f->linearised[ROLL_RATE]) * lift_of_tip(f, side);
             out[r * width] -= 0.5 * vertical * slope * slope;
             if (roll) /* of the lateral force the Jacobian has the rigid one: here is the rest */
                 out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope + f->tip[side].expected;
@@ -669,10 +699,12 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->slope_rate_gain = reals(record->slope_rate_gain, 2, &good);
     f->lateral_gain = reals(record->lateral_gain, 2, &good);
     f->load_g = reals(record->load_g, 1, &good);
+    f->body_rate_radps = reals(record->body_rate_radps, 2, &good);
     f->row_sensitivity = reals(record->sensitivity, 3, &good);
     f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
     return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+           extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
            extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1 &&
            extent(record->root_motion_variance, 0) >= last;
 }

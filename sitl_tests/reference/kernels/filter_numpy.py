@@ -244,12 +244,28 @@ def _linearise(
             H[Y_LEFT + side, const.vertical_bias_state] -= lean / vertical_mps2[side] * const.bias_projection[side]
     lateral = epochs.lateral_mps2[k] + np.array([1.0, -1.0]) * force
     H[up] -= (vertical_mps2 * slope + lateral)[:, None] * model.linearisation_rows[:2]
+    lift_rows, p = _lift_rows(const, model), float(linearised[4])
+    H[up] += _turn_squared(epochs, k, p) * lift_rows + 2.0 * p * np.outer(
+        lift_rows @ state, model.linearisation_rows[4]
+    )
+    residual_columns[up, 0] += 2.0 * p**2 * (lift_rows @ state)
     for side, bias in enumerate(const.lateral_bias_state.tolist()):
         if bias >= 0:
             H[Y_LEFT + side, bias] = epochs.lateral_gain[k, side]
     residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[
         6 + 6 * const.shortening_pm.shape[1] :
     ]
+
+
+def _lift_rows(const: FilterConstants, model: DiscreteModel) -> Floats:
+    """Rows (2, n + 1) of the linearisation that give both tips' lift by all ranks."""
+    end = 6 + 6 * const.shortening_pm.shape[1]
+    return np.stack([model.linearisation_rows[6 + side : end : 6].sum(axis=0) for side in (0, 1)])
+
+
+def _turn_squared(epochs: Epochs, k: int, p: float) -> float:
+    """Square of the body's turn about x and y, by which a lifted tip feels a downward force."""
+    return p**2 + float(epochs.body_rate_radps[k, 1]) ** 2
 
 
 class _MovingTip(NamedTuple):
@@ -267,7 +283,7 @@ class _MovingTip(NamedTuple):
 def _moving_tip(
     const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats
 ) -> _MovingTip:
-    """``2 p w' + p' w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it."""
+    """``2 p w' + (p' - q r) w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it."""
     ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
     lift_rows, rate_rows, accel_rows = np.stack(
         [model.linearisation_rows[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1
@@ -279,8 +295,10 @@ def _moving_tip(
     slope = float(linearised[side])
     tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
     measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
+    measured += _turn_squared(epochs, k, p) * float(lift.sum())
+    turning = p_dot - float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
     shortening = const.shortening_pm[side]
-    expected = 2.0 * p * rate.sum() + p_dot * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
+    expected = 2.0 * p * rate.sum() + turning * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
     if epochs.present[k, Z_LEFT + side]:
         accel = np.concatenate([[measured - accel[1:].sum()], accel[1:]])
     inside_mps = -const.step_s * float(epochs.rows[k, M_LEFT + side])
@@ -288,11 +306,11 @@ def _moving_tip(
     rate[0] -= inside_mps
     inside = inside_mps * K[:, 0]
     along = lift @ K @ accel + rate @ K @ rate + rate @ inside
-    force = 2.0 * p * rate.sum() + p_dot * lift.sum() - along
+    force = 2.0 * p * rate.sum() + turning * lift.sum() - along
     by_rate = K @ rate
     half_a_step = by_rate[0] - by_rate if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
     per_accel = const.step_s * half_a_step - lift @ (K - K[:, :1])
-    row = (p_dot - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
+    row = (turning - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + per_accel @ accel_rows + 2.0 * rate.sum() * p_row
     row = row + lift @ (1.0 - K[:, 0] * float(const.lever_m[side])) * a_row  # the roll lifts the tip as well
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
