@@ -77,18 +77,20 @@ def execute(options: argparse.Namespace) -> int:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
     if options.flights > 1 and not options.landing:
         raise ConfigError("--flights is of --landing: give both")
-    make_folder(options.out)
+    settings = read_settings(options)
     if options.landing:
-        return land(airframe, read_settings(options), options)
+        make_folder(options.out)
+        return land(airframe, settings, options)
     recording = options.out / "flight.mcap"
-    for old in (recording, options.out / "summary.png"):
-        old.unlink(missing_ok=True)
     world = WORLDS[options.world]
     airframe = as_calibrated(airframe, world)
     live = read_live(options, recording)
-    config = ServiceConfig(airframe, read_settings(options), (), recording=recording, live=live)
+    make_folder(options.out)
+    config = ServiceConfig(airframe, settings, (), recording=recording, live=live)
     say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
+    for old in (recording, options.out / "summary.png"):
+        old.unlink(missing_ok=True)
     start_host_ns, report = _flown(config, flight, options)
     say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)

@@ -44,6 +44,17 @@ def test_replay_and_report_leave_their_recording_as_it_is(
     assert recording.read_bytes() == b"a flight"
 
 
+@pytest.mark.parametrize("words", [["--set", "TRG_RATE=500"], ["--set", "TRG_RAT=5"], ["--live", "127.0.0.1:99999"]])
+def test_a_refused_demo_leaves_the_last_flight_as_it_is(tmp_path: Path, words: list[str]) -> None:
+    flown = [tmp_path / name for name in ("flight.mcap", "summary.png", "summary.json")]
+    for file in flown:
+        file.write_text("of the last flight")
+    assert main(["demo", *words, "--out", str(tmp_path)]) == 1
+    assert all(file.exists() for file in flown)
+    assert main(["demo", *words, "--out", str(tmp_path / "new")]) == 1
+    assert not (tmp_path / "new").exists()
+
+
 def test_the_recording_that_is_told_is_the_one_that_was_written(tmp_path: Path) -> None:
     before, written = tmp_path / "flight.mcap", tmp_path / "flight.2.mcap"
     before.write_bytes(b"yesterday")
