@@ -89,8 +89,8 @@ def execute(options: argparse.Namespace) -> int:
     config = ServiceConfig(airframe, settings, (), recording=recording, live=live)
     say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
-    for old in (recording, options.out / "summary.png"):
-        old.unlink(missing_ok=True)
+    for old in ("flight.mcap", "summary.json", "summary.png"):
+        (options.out / old).unlink(missing_ok=True)
     start_host_ns, report = _flown(config, flight, options)
     say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)

@@ -55,6 +55,19 @@ def test_a_refused_demo_leaves_the_last_flight_as_it_is(tmp_path: Path, words: l
     assert not (tmp_path / "new").exists()
 
 
+def test_an_interrupted_demo_leaves_no_result_of_another_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> None:
+        raise ConfigError("stopped")
+
+    monkeypatch.setattr("companion.cli.demo._flown", stopped)
+    for name in ("flight.mcap", "summary.png", "summary.json"):
+        (tmp_path / name).write_text("of the last flight")
+    assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_recording_that_is_told_is_the_one_that_was_written(tmp_path: Path) -> None:
     before, written = tmp_path / "flight.mcap", tmp_path / "flight.2.mcap"
     before.write_bytes(b"yesterday")
