@@ -17,6 +17,8 @@ from companion.sim.flight.flight import build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.tables import write_csv
 
+_MARK = "simulated.txt"  # name of the file that tells a simulated flight's folder from all others (convention)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
@@ -29,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--effect", action="append", default=[], metavar="NAME[=VALUE]",
         help="hide a named effect in the truth; VALUE is its first parameter (its prior sigma when left out)",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="accel.csv and range.csv go here")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER",
+        help=f"accel.csv, range.csv and {_MARK} go here: a new or empty folder, or one of an earlier simulate",
+    )  # fmt: skip
     add_effect_list(
         parser,
         "The {count} effects that --effect hides. VALUE is the first parameter in the unit shown; the number shown is "
@@ -42,6 +47,7 @@ def execute(options: argparse.Namespace) -> int:
     """Fly and write."""
     airframe = load_airframe(options.airframe)
     effects = tuple(_effect(text) for text in options.effect)
+    _check_folder(options.out)
     flight = build_flight(
         airframe,
         options.seed,
@@ -50,16 +56,23 @@ def execute(options: argparse.Namespace) -> int:
         gust=GustKind(options.gust),
         perturbed=not options.exact,
     )
-    make_folder(options.out)
-    write_csv(flight, options.out)
     wing = flight.real.actual.wing
     hidden = ", ".join(f"{effect.name} {effect.parameters}" for effect in effects) or "nothing"
-    print(
+    flown = (
         f"flew {options.duration:g} s of {airframe.name}, seed {options.seed}: "
-        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}; "
-        f"wrote {options.out}"
+        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}"
     )
+    make_folder(options.out)
+    (options.out / _MARK).write_text(f"spanwise simulate {flown}\n", encoding="utf-8")
+    write_csv(flight, options.out)
+    print(f"{flown}; wrote {options.out}")
     return 0
+
+
+def _check_folder(path: Path) -> None:
+    """Refuse a folder whose files are not of an earlier simulated flight: measured tables would be lost."""
+    if path.is_dir() and any(path.iterdir()) and not (path / _MARK).exists():
+        raise ConfigError(f"--out {path}: holds other files already; name a new folder")
 
 
 def _effect(text: str) -> NamedEffect:

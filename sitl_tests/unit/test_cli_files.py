@@ -122,6 +122,17 @@ def test_ranges_of_an_earlier_flight_do_not_stay_beside_a_flight_without_cameras
     assert not (tmp_path / "range.csv").exists()
 
 
+def test_a_simulated_flight_does_not_replace_what_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured = [tmp_path / name for name in ("accel.csv", "range.csv")]
+    for table in measured:
+        table.write_text("t_s\n")
+    assert main(["simulate", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert "holds other files already" in capsys.readouterr().err
+    assert {path: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(measured, "t_s\n")
+
+
 def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
