@@ -66,7 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     latency.add_argument("recording", type=Path, help="a recording of ours, with shots and matches")
     for kind in (stereo, mounting, latency):
         kind.add_argument("--airframe", required=True, metavar="NAME", help="what the result is written into")
-        kind.add_argument("--out", type=Path, default=Path("out/calibrate"), metavar="FOLDER", help="where to write")
+        kind.add_argument(
+            "--out", type=Path, default=Path("out/calibrate"), metavar="FOLDER",
+            help="where to write airframe.toml (default: %(default)s); it replaces none but the one of --airframe",
+        )  # fmt: skip
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -77,12 +80,23 @@ def execute(options: argparse.Namespace) -> int:
     path = options.out / "airframe.toml"
     with result_folder(options.out):
         check_output(path, "--out")
+        _check_earlier(path, options.airframe)
         airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
         text = dump_airframe(airframe)
         parse_airframe(text, f"{path}, not written")
         path.write_text(text, encoding="utf-8")
     print(f"wrote {path}")
     return 0
+
+
+def _check_earlier(path: Path, airframe: str) -> None:
+    """Refuse to write over an earlier result that this one does not go on from."""
+    base = Path(airframe)
+    if path.exists() and not (base.exists() and base.samefile(path)):
+        raise ConfigError(
+            f"{path}: exists already, and what was calibrated in it would be lost; "
+            f"give --airframe {path} to go on from it, or name another folder (--out)"
+        )
 
 
 def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:

@@ -131,6 +131,7 @@ def test_views_are_taken_from_cameras_that_run_until_the_user_stops(
     assert len(list((tmp_path / "views" / "cam1").glob("*.png"))) == 7
     assert (tmp_path / "live.jpg").stat().st_size > 10_000
     Rig.from_airframe(load_airframe(str(tmp_path / "airframe.toml")))
+    words[words.index(str(base))] = str(tmp_path / "airframe.toml")
     with pytest.raises(ConfigError, match="holds views already"):
         calibrate.execute(parser.parse_args(words))
 

@@ -142,6 +142,19 @@ def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
     assert "recorded by airframe 'forward-2m', not by 'nadir-2m'" in capsys.readouterr().err
 
 
+def test_a_calibration_goes_on_from_the_earlier_or_leaves_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier = tmp_path / "airframe.toml"
+    earlier.write_text(dump_airframe(load_airframe("nadir-2m")))
+    monkeypatch.setattr("companion.cli.calibrate._latency", lambda _, base: base)
+    command = ["calibrate", "latency", "flight.mcap", "--out", str(tmp_path), "--airframe"]
+    assert main([*command, "forward-2m"]) == 1
+    assert f"give --airframe {earlier} to go on" in capsys.readouterr().err
+    assert load_airframe(str(earlier)).name == "nadir-2m"
+    assert main([*command, str(earlier)]) == 0
+
+
 def test_run_refuses_an_airframe_that_no_process_could_read_messages_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
