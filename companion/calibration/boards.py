@@ -12,6 +12,7 @@ from companion.records import Bytes, Floats, Ints
 
 _DICTIONARY = cv2.aruco.DICT_4X4_250
 _MARKER_FRACTION = 0.75  # of a square: the usual ChArUco print (choice)
+_MARKER_PX = 25.0  # measured: side of the smallest marker that is read in most rendered views (README.md)
 LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it by (choice)
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
@@ -48,6 +49,16 @@ class Board:
         across, down = self.inner
         grid = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1).reshape(-1, 2)
         return np.column_stack([self.square_m * (grid + 1.0), np.zeros(len(grid))])
+
+    def hint(self, focal_px: float) -> str:
+        """Which board is looked for, and how near it has to be: for one whose board no image shows."""
+        across, down = self.squares
+        sought = f"sought is a {self.kind} of {across} x {down} squares of {self.square_m:g} m"
+        if self.kind == "chessboard":
+            return f"{sought}, whole in both images"
+        square_px = _MARKER_PX / _MARKER_FRACTION
+        away_m = self.square_m * focal_px / square_px
+        return f"{sought}, which need {square_px:.0f} px: at most {away_m:.1f} m away with this lens"
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's board of this size, dictionary 4x4_250, markers three quarters of a square."""

@@ -13,6 +13,7 @@ from companion.records import Bytes, Frame, Side
 
 _SKEW_NS = 50_000_000  # a board that holds still may be seen by cameras that are not synchronised (choice)
 _STILL_PX = 0.5  # chosen: between two images: less blurs no corner
+_NO_BOARD_NS = 5_000_000_000  # chosen: without a board from the begin for so long, something is wrong with it
 _LATELY_NS = 1_000_000_000  # older images do not show that the board is still (choice)
 
 
@@ -28,9 +29,13 @@ class Taken:
 class LiveViews:
     """Frames in, views and guidance out."""
 
-    def __init__(self, board: Board, wanted: int) -> None:
-        """Look for a board until ``wanted`` views that cover images, tilts and distances are there."""
-        self._board, self._wanted = board, wanted
+    def __init__(self, board: Board, wanted: int, focal_px: float) -> None:
+        """Look for a board until ``wanted`` views that cover images, tilts and distances are there.
+
+        The lenses' ``focal_px``, about, says how near a board must be that is not seen.
+        """
+        self._board, self._wanted, self._focal_px = board, wanted, focal_px
+        self._missing_since_ns: int | None = None
         self._newest: dict[Side, Frame] = {}
         self._before: tuple[int, Corners, Corners] | None = None
         self.taken: list[Taken] = []
@@ -64,7 +69,7 @@ class LiveViews:
         before, self._before = self._before, None
         if detected[0] is None or detected[1] is None:
             missing = [side.name.lower() for side, corners in zip(Side, detected, strict=True) if corners is None]
-            return f"no board in the {' and '.join(missing)} image"
+            return f"no board in the {' and '.join(missing)} image{self._hint(left.mid_exposure_ns)}"
         if len(common(detected[0], detected[1])) < LEAST_CORNERS:
             return "the cameras share too few corners: hold the board where both see it"
         self._before = (left.mid_exposure_ns, detected[0], detected[1])
@@ -75,6 +80,13 @@ class LiveViews:
             return "this view is there already: move or tilt the board"
         self.taken.append(Taken(view, left.image, right.image))
         return f"took {view.name}"
+
+    def _hint(self, now_ns: int) -> str:
+        """Which board is looked for, where none was ever taken for some seconds; else empty."""
+        if self._missing_since_ns is None:
+            self._missing_since_ns = now_ns
+        waited_ns = now_ns - self._missing_since_ns
+        return f"; {self._board.hint(self._focal_px)}" if not self.taken and waited_ns >= _NO_BOARD_NS else ""
 
 
 def _still(before: tuple[Corners, Corners], now: tuple[Corners | None, Corners | None]) -> bool:

@@ -106,11 +106,12 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     folder, rehearsal = options.folder, None
     if folder is None:
         pair: CameraPair
+        focal_px = base.camera_pair[0].focal_px.value
         if options.cameras == "sim":
             pair = rehearsal = Rehearsal(base, board, options.seed)
         else:
             pair = cameras.camera_factory(options.cameras, base, triggered=False)()
-        folder = take_views(pair, board, options.views, options.out, options.seconds)
+        folder = take_views(pair, board, options.views, options.out, options.seconds, focal_px)
     pairs, lonely = _read_pairs(folder)
     views, rejected = find_views(pairs, board)
     size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])

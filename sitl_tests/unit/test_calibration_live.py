@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.calibration.boards import Corners
+from companion.calibration.boards import Board, Corners
 from companion.calibration.guidance import advice, is_new, perspective
 from companion.calibration.live import LiveViews
 from companion.calibration.stereo_rig import BoardView
@@ -75,7 +75,7 @@ def test_the_same_view_is_not_taken_twice() -> None:
 
 @pytest.mark.slow
 def test_a_view_is_taken_when_the_board_holds_still() -> None:
-    live = LiveViews(CHARUCO, wanted=3)
+    live = LiveViews(CHARUCO, 3, FOCAL_PX)
     assert live.add(_frames(0, 1.0)) == "hold still"
     assert live.add(_frames(1, 1.1)) == "hold still"  # it moved
     assert live.add(_frames(1, 1.2)) == "took view01"
@@ -86,12 +86,29 @@ def test_a_view_is_taken_when_the_board_holds_still() -> None:
 
 @pytest.mark.slow
 def test_frames_that_do_not_belong_together_are_not_paired() -> None:
-    live = LiveViews(CHARUCO, wanted=3)
+    live = LiveViews(CHARUCO, 3, FOCAL_PX)
     assert live.add(_frames(0, 1.0)[:1]) is None
     assert live.add(_frames(0, 1.0, apart_s=0.2)) is None
     empty = np.full((SIZE[1], SIZE[0]), 90, np.uint8)
     frames = [Frame(side, 0, ClockName.HOST, 10**9, 0, 0, -1, empty) for side in Side]
     assert live.add(frames) == "no board in the left and right image"
+
+
+@pytest.mark.parametrize(
+    ("board", "hint"),
+    [
+        (Board("charuco", (7, 5), 0.3), "charuco of 7 x 5 squares of 0.3 m, which need 33 px: at most 5.4 m away"),
+        (Board("chessboard", (10, 7), 0.2), "chessboard of 10 x 7 squares of 0.2 m, whole in both images"),
+    ],
+)
+def test_a_board_that_is_not_seen_for_long_is_described(board: Board, hint: str) -> None:
+    live = LiveViews(board, 3, FOCAL_PX)
+    empty = np.full((SIZE[1], SIZE[0]), 90, np.uint8)
+    said = [
+        str(live.add([Frame(side, n, ClockName.HOST, n * 10**9, 0, 0, -1, empty) for side in Side])) for n in (1, 5, 6)
+    ]
+    assert said[0] == said[1] == "no board in the left and right image"
+    assert hint in said[2]
 
 
 class _Rig:
@@ -140,7 +157,7 @@ def test_views_are_taken_from_cameras_that_run_until_the_user_stops(
 def test_without_a_board_there_is_nothing_to_calibrate(tmp_path: Path) -> None:
     rig = _Rig(0)
     with pytest.raises(ConfigError, match="no view of the board"):
-        take_views(rig, CHARUCO, 8, tmp_path, 5.0, lambda _: None)
+        take_views(rig, CHARUCO, 8, tmp_path, 5.0, FOCAL_PX, lambda _: None)
     assert rig.closed
 
 

@@ -18,7 +18,13 @@ _PREVIEW = "live.jpg"
 
 
 def take_views(
-    pair: CameraPair, board: Board, wanted: int, folder: Path, seconds: float, say: Callable[[str], None] = print
+    pair: CameraPair,
+    board: Board,
+    wanted: int,
+    folder: Path,
+    seconds: float,
+    focal_px: float,
+    say: Callable[[str], None] = print,
 ) -> Path:
     """Run until the set is complete, the time is over or Ctrl-C; give the folder of images (cam0, cam1).
 
@@ -33,7 +39,7 @@ def take_views(
     images = folder / "views"
     if images.exists() and any(images.rglob("*.png")):
         raise ConfigError(f"{images} holds views already: give another --out, or calibrate from that folder")
-    live, ends, last = LiveViews(board, wanted), time.monotonic() + seconds, ""
+    live, ends, last = LiveViews(board, wanted, focal_px), time.monotonic() + seconds, ""
     try:
         while time.monotonic() < ends and (not live.taken or live.advice):
             sentence = live.add(list(pair.poll(_POLL_S)))
