@@ -18,8 +18,9 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import named_value
 from companion.cli.terminal.progress import say
-from companion.errors import NOTHING_TO_ESTIMATE
+from companion.errors import NOTHING_TO_ESTIMATE, AirframeNeeded, RecordingError
 from companion.evaluation.tuning import JUDGED, ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
+from companion.params.settings import Settings
 
 _MOST_WORKERS = 64  # more than there are trials (choice)
 _HEADS = ("trial", "shots", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Replay the flight with each value, and say which would have been better; 3 where no range was trusted."""
-    settings = open_recording(options.recording, None).settings
+    settings = _settings(options.recording)
     trials = [ParameterTrial((named_value("--try", text),)) for text in options.tries] or usual_trials(settings)
     for trial in trials:
         trial.over(settings)
@@ -62,6 +63,14 @@ def execute(options: argparse.Namespace) -> int:
     result = {"recording": str(options.recording), "trials": rows, "proposal": _proposed(rows, together)}
     print(json.dumps(result, indent=2) if options.json else _sentence(result))
     return 0
+
+
+def _settings(path: Path) -> Settings:
+    """Settings of a recording of ours; another log has no ranges to try them on, whatever its aircraft."""
+    try:
+        return open_recording(path, None).settings
+    except AirframeNeeded as error:
+        raise RecordingError(f"{path}: tune needs a recording of Spanwise (.mcap) with ranges") from error
 
 
 def _tried(path: Path, trials: list[ParameterTrial], workers: int) -> Iterator[tuple[ParameterTrial, TrialOutcome]]:

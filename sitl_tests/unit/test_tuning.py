@@ -149,3 +149,12 @@ def test_a_foreign_log_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "accel.csv").write_text("t_ns,x,y,z\n0,0,0,-9.8\n1000000,0,0,-9.8\n")
     with pytest.raises(RecordingError):
         try_out(tmp_path, ParameterTrial(()))
+
+
+def test_of_a_foreign_log_no_airframe_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "flight.tlog"
+    log.write_bytes(bytes(8) + b"\xfd" + bytes(40))
+    assert main(["tune", str(log)]) == 1
+    said = capsys.readouterr().err
+    assert "tune needs a recording of Spanwise (.mcap) with ranges" in said
+    assert "--airframe" not in said
