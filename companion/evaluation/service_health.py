@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from companion.records import Health, ImuBatch, ServiceStatus
+from companion.records import Health, ImuBatch, Notice, Reject, Rejected, ServiceStatus, Shot, Side
 
 _END_S = 3.0  # a recorder that is stopped after the sensors writes on for so long: a flight's end, no fault (choice)
+_OVERLOAD = "this machine cannot keep up"  # how such a notice begins (convention: service/pace.py)
+_LOST_RATIO = 0.05  # convention: of the images, as the doctor warns; beyond, cameras or computer are too slow
 _MOSTLY = 0.9  # of the time after the first active status (choice)
 
 
 @dataclass(slots=True)
 class ServiceHealth:
-    """Statuses in the order of time, one a second, and when the last sample was received, on the host's clock."""
+    """Statuses in the order of time, one a second, and when the last sample was received, on the host's clock.
+
+    ``overloads`` is how often the machine was said not to keep up; of ``shots``, ``lost_images`` never came.
+    """
 
     statuses: list[ServiceStatus] = field(default_factory=list)
     last_sample_ns: int = 0
+    overloads: int = 0
+    shots: int = 0
+    lost_images: int = 0
 
     def take(self, record: object) -> None:
         """Look at a record of any kind."""
@@ -24,6 +32,12 @@ class ServiceHealth:
             self.statuses.append(record)
         elif isinstance(record, ImuBatch) and record.t_ns.size:
             self.last_sample_ns = max(self.last_sample_ns, record.received_host_ns)
+        elif isinstance(record, Notice):
+            self.overloads += record.text.startswith(_OVERLOAD)
+        elif isinstance(record, Shot):
+            self.shots += 1
+        elif isinstance(record, Rejected) and record.reason is Reject.FRAME_LOST:
+            self.lost_images += record.count
 
     @property
     def silence_s(self) -> float:
@@ -73,6 +87,7 @@ class ServiceHealth:
         if first_s is None:
             return f"no: it was never active; {self.summary().partition('; ')[2]}"
         text = f"{self._since_first()} after a warm-up of {first_s:.0f} s (clocks and wing are learned)"
+        text += "".join(f"; {trouble}" for trouble in self._troubles())
         text += f"; no samples came in the last {self.silence_s:.0f} s" if self.silence_s else ""
         return f"{text}. With the warm-up, active {100 * self.active_ratio:.0f} % of the time"
 
@@ -82,11 +97,19 @@ class ServiceHealth:
         begun = flown[next(i for i, status in enumerate(flown) if status.health is Health.ACTIVE) :]
         others = Counter(_state(status) for status in begun if status.health is not Health.ACTIVE)
         if not others:
-            return "yes: active without a break"
+            return f"{'mostly' if self._troubles() else 'yes'}: active without a break"
         ratio = 1.0 - others.total() / len(begun)
         rest = ", ".join(f"{state} ({count} s)" for state, count in others.most_common(2))
         word = "mostly" if ratio >= _MOSTLY else "not always"
         return f"{word}: active {100 * ratio:.0f} % of the time (else {rest})"
+
+    def _troubles(self) -> list[str]:
+        """Losses that no status says: the state stays active while shots go without a range."""
+        times = "once" if self.overloads == 1 else f"{self.overloads} times"
+        troubles = [f"the machine could not keep up (said {times})"] if self.overloads else []
+        if self.lost_images > _LOST_RATIO * len(Side) * self.shots:
+            troubles.append(f"{self.lost_images} images of {self.shots} shots never came")
+        return troubles
 
 
 def _state(status: ServiceStatus) -> str:

@@ -170,6 +170,15 @@ def test_the_wait_for_the_first_range_and_the_longest_after_it_are_both_said() -
     assert (slow.word, slow.grade) == ("late", "fair")
 
 
+def test_shots_that_gave_no_range_are_counted() -> None:
+    shots = [Shot(number, number, number) for number in range(20)]
+    lost = Rejected(Reject.FRAME_LOST, "left frames", SECOND_NS, 9)
+    ranges = [ranged(number) for number in range(11)]
+    sentence = "11 ranges came of 20 shots; 9 images never came: spanwise doctor --log says what to mend"
+    assert sentence in verdict(gather([mode(0), *shots, lost, *ranges])).reasons
+    assert not any("shots" in reason for reason in verdict(gather([mode(0), *shots[:12], *ranges])).reasons)
+
+
 def test_ranges_that_end_before_the_samples_do_are_a_silence() -> None:
     samples = shaken(Station.ROOT)  # until 20 s
     log = gather([mode(0), at(1.0), at(2.0), *samples])

@@ -13,7 +13,8 @@ from companion.cli.main import main
 from companion.evaluation.recording_info import AT_THE_END, RecordingInfo, StreamInfo, summarise
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, Health, ImuBatch, Reject, Rejected, ServiceStatus, Station
+from companion.records import Axis, ClockName, Health, ImuBatch, Notice, Reject, Rejected, ServiceStatus, Shot, Station
+from companion.service.pace import Overload
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
@@ -167,6 +168,19 @@ def test_samples_that_stop_long_before_the_recording_does_are_said() -> None:
     assert service.answer().startswith(
         "not always: active 60 % of the time (else critical: stale (10 s)) after a warm-up"
     )
+
+
+def test_a_machine_that_did_not_keep_up_was_not_well() -> None:
+    info = served(*WARM_UP, *ACTIVE, samples_until_s=20.0)
+    info.add(Notice(4, Overload("vision", "vision needs 1.7 s a second").sentence, 10 * S))
+    assert info.service.answer().startswith("mostly: active without a break after a warm-up of 5 s")
+    assert "; the machine could not keep up (said once)" in info.service.answer()
+    for number in range(10):
+        info.add(Shot(number, number * S, number * S))
+    info.add(Rejected(Reject.FRAME_LOST, "left frames", 10 * S, 1))
+    assert "never came" not in info.service.answer(), "one of twenty is little"
+    info.add(Rejected(Reject.FRAME_LOST, "right frames", 10 * S, 4))
+    assert "; 5 images of 10 shots never came. With the warm-up" in info.service.answer()
 
 
 def test_a_service_that_never_was_active_says_so() -> None:

@@ -21,6 +21,7 @@ from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Pa
 from companion.reporting.embedding import embed
 
 _USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published (choice)
+_FEW_SHARE = 0.9  # of the shots; where fewer gave a range, the others are named (choice)
 _MODE_SIGMAS = 2.0  # so near the belief, a line may be a higher mode's (choice)
 _LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it (choice)
 _LONG_WARM_UP_S = 30.0  # the service itself complains of a tracker that takes longer (choice)
@@ -69,7 +70,7 @@ def verdict(log: FlightLog) -> FlightVerdict:
         relative = np.median([entry.sigma_m / entry.range_m for entry in published])
         headline += f", median sigma {100 * relative:.1f} % of the range"
     reasons = tuple(f"{count} withheld: {reason}" for reason, count in log.withheld().most_common())
-    return FlightVerdict(word, headline, reasons + _waits(log.published))
+    return FlightVerdict(word, headline, reasons + _shots(log) + _waits(log.published))
 
 
 def _word(log: FlightLog, published_ratio: float) -> str:
@@ -78,6 +79,17 @@ def _word(log: FlightLog, published_ratio: float) -> str:
     if log.published.longest_silence_s >= _LONG_SILENCE_S:
         return "with long silences"
     return "late" if (log.published.first_s or 0.0) >= _LONG_WARM_UP_S else "usable"
+
+
+def _shots(log: FlightLog) -> tuple[str, ...]:
+    """How many shots gave a range, where many did not."""
+    shots, lost_images = log.info.service.shots, log.info.service.lost_images
+    if len(log.ranges) >= _FEW_SHARE * shots:
+        return ()
+    text = f"{len(log.ranges)} ranges came of {shots} shots"
+    if lost_images:
+        text += f"; {lost_images} images never came: spanwise doctor --log says what to mend"
+    return (text,)
 
 
 def _waits(published: PublishedRanges) -> tuple[str, ...]:
