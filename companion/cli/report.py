@@ -32,7 +32,7 @@ def execute(options: argparse.Namespace) -> int:
     recording = open_given(options)
     log = gather(_watched(recording, plain=options.plain))
     out.write_text(render(recording, log), encoding="utf-8")
-    judged = verdict(log)
+    judged = verdict(recording, log)
     said = [*(f"  {reason}" for reason in judged.reasons), *(f"  note: {note.text}" for note in recording.notices)]
     print("\n".join([judged.headline, *said, f"wrote {out}"]))
     return 0 if log.ranges or log.modes else NOTHING_TO_ESTIMATE

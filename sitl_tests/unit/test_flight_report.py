@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.evaluation.flight_log import FlightLog, Spectrum, gather
 from companion.evaluation.pages import flight_figures as figures
-from companion.evaluation.pages.flight_report import lines_sentence, verdict
+from companion.evaluation.pages.flight_report import FlightVerdict, lines_sentence
+from companion.evaluation.pages.flight_report import verdict as verdict_of
 from companion.evaluation.recording_info import AT_THE_END
-from companion.params.airframe import Uncertain
+from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -79,6 +81,10 @@ def flight() -> list[Record]:
     records.append(Rejected(Reject.CLOCK_UNSYNCED, "left <b>", SECOND_NS, 3))
     records.append(ServiceStatus(10 * SECOND_NS, Health.ACTIVE, ""))
     return records
+
+
+def verdict(log: FlightLog, airframe: Airframe = AIRFRAME) -> FlightVerdict:
+    return verdict_of(SimpleNamespace(path=Path("flight.tlog"), airframe=airframe), log)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +249,9 @@ def test_blur_is_told_apart_by_the_distance_of_the_scene() -> None:
 
 def test_without_wing_or_cameras_the_verdict_says_so() -> None:
     assert "Nothing was estimated" in verdict(gather([])).headline
-    assert "No range was measured" in verdict(gather([mode(0)])).headline
+    assert "No range was measured: the cameras gave" in verdict(gather([mode(0)])).headline
+    blind = load_airframe("sitl-plane")
+    assert verdict(gather([mode(0)]), blind).headline == "No range was measured: the airframe has no cameras"
 
 
 def test_the_command_writes_one_page_that_refers_to_nothing_outside(

@@ -21,7 +21,7 @@ _MOST_TEXT = 160  # chosen: characters of a cell: a sentence, not a page
 
 def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
     """Figures of one flight that can be compared with another's."""
-    judged = verdict(log)
+    judged = verdict(recording, log)
     trusted = log.trusted()
     row: dict[str, Any] = {
         "airframe": recording.airframe.name,

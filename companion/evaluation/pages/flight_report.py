@@ -54,7 +54,7 @@ class FlightVerdict:
         return _GRADES.get(self.word, "fair")
 
 
-def verdict(log: FlightLog) -> FlightVerdict:
+def verdict(recording: Recording, log: FlightLog) -> FlightVerdict:
     """Judge a flight by what it recorded itself; no truth is known."""
     total, published = len(log.ranges), log.trusted()
     if not log.estimated:
@@ -62,7 +62,9 @@ def verdict(log: FlightLog) -> FlightVerdict:
     if not log.modes:
         return FlightVerdict(_WITHOUT_FIGURES, "No wing was tracked: nothing can be said of ranges", ())
     if not total:
-        return FlightVerdict(_WITHOUT_FIGURES, "No range was measured: the cameras gave no matched pair", ())
+        has_cameras = recording.airframe.left_camera is not None
+        why = "the cameras gave no matched pair" if has_cameras else "the airframe has no cameras"
+        return FlightVerdict(_WITHOUT_FIGURES, f"No range was measured: {why}", ())
     word = _word(log, len(published) / total)
     headline = f"{word.capitalize()}: {len(published)} of {total} ranges were published"
     headline += f" ({100 * len(published) / total:.0f} %)"
@@ -103,7 +105,7 @@ def _waits(published: PublishedRanges) -> tuple[str, ...]:
 
 def render(recording: Recording, log: FlightLog) -> str:
     """The page as HTML, with every picture inside."""
-    judged = verdict(log)
+    judged = verdict(recording, log)
     what = f"{recording.path.name}, airframe {recording.airframe.name}, {log.info.duration_s:.0f} s of flight"
     what += ", cut off while recording" if isinstance(recording, McapRecording) and recording.cut else ""
     body = list(_body(recording, log, judged))
