@@ -325,6 +325,9 @@ def test_a_recording_that_was_cut_off_says_so_beneath_its_verdict(
 
 def test_a_log_without_estimates_is_not_said_to_show_no_wing() -> None:
     samples = shaken(Station.ROOT)
-    assert "Nothing was estimated in this recording" in verdict(gather(samples)).headline
+    for airframe, name in ((AIRFRAME, "nadir-2m"), (dataclasses.replace(AIRFRAME, name="my-wing"), "FILE.toml")):
+        said = verdict(gather(samples), airframe).headline
+        assert said.startswith("Nothing was estimated in this recording: ")
+        assert f"spanwise replay flight.tlog --airframe {name} --out NEW.mcap does" in said
     unsynced = ClockState(ClockName.BOOT, SECOND_NS, 0, 0.0, SECOND_NS, synced=False)
     assert "No wing was tracked" in verdict(gather([unsynced, *samples])).headline

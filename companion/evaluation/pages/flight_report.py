@@ -14,6 +14,7 @@ from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.published_ranges import PublishedRanges
 from companion.evaluation.recording_info import stream_line
 from companion.params.airframe import FAMILIES, Wing
+from companion.params.files import shipped_airframes
 from companion.params.settings import Settings
 from companion.records import Station
 from companion.reporting import page
@@ -36,7 +37,6 @@ _BLUR = (
     "The blur that spanwise demo states is the wing's alone."
 )
 _REFUSED = "In brackets how many were refused or withheld; a mark is a message, which may stand for many samples."
-_NOT_ESTIMATED = "Nothing was estimated in this recording: spanwise replay --out NEW.mcap does, and report reads that"
 _WITHOUT_FIGURES = "nothing to judge"
 
 
@@ -58,7 +58,7 @@ def verdict(recording: Recording, log: FlightLog) -> FlightVerdict:
     """Judge a flight by what it recorded itself; no truth is known."""
     total, published = len(log.ranges), log.trusted()
     if not log.estimated:
-        return FlightVerdict(_WITHOUT_FIGURES, _NOT_ESTIMATED, ())
+        return FlightVerdict(_WITHOUT_FIGURES, _not_estimated(recording), ())
     if not log.modes:
         return FlightVerdict(_WITHOUT_FIGURES, "No wing was tracked: nothing can be said of ranges", ())
     if not total:
@@ -73,6 +73,14 @@ def verdict(recording: Recording, log: FlightLog) -> FlightVerdict:
         headline += f", median sigma {100 * relative:.1f} % of the range"
     reasons = tuple(f"{count} withheld: {reason}" for reason, count in log.withheld().most_common())
     return FlightVerdict(word, headline, reasons + _shots(log) + _waits(log.published))
+
+
+def _not_estimated(recording: Recording) -> str:
+    """Sentence for what was measured alone, with the command that estimates; only our own recordings name a wing."""
+    name = recording.airframe.name if recording.airframe.name in shipped_airframes() else "FILE.toml"
+    wing = "" if isinstance(recording, McapRecording) else f" --airframe {name}"
+    command = f"spanwise replay {recording.path}{wing} --out NEW.mcap"
+    return f"Nothing was estimated in this recording: {command} does, and report reads that"
 
 
 def _word(log: FlightLog, published_ratio: float) -> str:
