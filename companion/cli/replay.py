@@ -59,14 +59,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(slots=True)
 class OutputCounters:
-    """Counts and digest of the outputs."""
+    """Counts and digest of the outputs.
+
+    ``last_tracking`` is the newest state with the wing tracked, ``last_sampled`` that before the newest sample: once
+    the sensors have stopped, a state is a forecast whose sigma grows.
+    """
 
     counts: Counter[str] = field(default_factory=Counter)
     validity: Counter[str] = field(default_factory=Counter)
     rejected: Counter[str] = field(default_factory=Counter)
     last_tracking: ModeState | None = None
+    last_sampled: ModeState | None = None
     trusted: list[CorrectedRange] = field(default_factory=list)
     digest: Any = field(default_factory=hashlib.sha256)
+
+    def sampled(self) -> None:
+        """Note that a sample came after the outputs so far."""
+        self.last_sampled = self.last_tracking
 
     def take(self, record: Record) -> None:
         """Count one output and add its bytes to the digest."""
@@ -99,7 +108,7 @@ def execute(options: argparse.Namespace) -> int:
     live = read_live(options, recording.path)
     with live_session(live, _subject(recording, settings)) as watched:
         show = None if watched is None else PacedView(watched)
-        for output in _replayed(recording, settings, is_own_format, stations, progress, show):
+        for output in _replayed(recording, settings, is_own_format, counters, stations, progress, show):
             counters.take(output)
             if show is not None:
                 show.publish(output)
@@ -140,6 +149,7 @@ def _replayed(
     recording: Recording,
     settings: Settings,
     is_own_format: bool,
+    counters: OutputCounters,
     stations: StationAnalysis,
     progress: Progress,
     show: PacedView | None,
@@ -152,6 +162,7 @@ def _replayed(
         for record in inputs:
             if isinstance(record, ImuBatch):
                 stations.add(record)
+                counters.sampled()
                 progress.at(record.received_host_ns)
             if show is not None:
                 show.keep_pace(record)
@@ -229,7 +240,7 @@ def _result(
 def _wing(counters: OutputCounters) -> dict[str, Any]:
     total = sum(counters.validity.values())
     shares = {name: round(count / total, 4) for name, count in sorted(counters.validity.items())}
-    mode = counters.last_tracking
+    mode = counters.last_sampled
     if mode is None:
         return {"validity": shares, "symmetric": None, "antisymmetric": None}
     members = {"symmetric": mode.symmetric, "antisymmetric": mode.antisymmetric}

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.cli.main import main
 from companion.evaluation.replay_comparison import ROUNDING_RATIO, ReplayComparison
-from companion.records import CorrectedRange, Reject
+from companion.records import CorrectedRange, ImuBatch, Record, Reject
+from sitl_tests.unit.test_flight_report import mode
+
+S = 1_000_000_000
 
 RANGE = CorrectedRange(1, 1, 5_000_000_000, 25, 60.0, 0.6, 4e-3, 1e-4, 50.0, 40, True, None)
 
@@ -82,3 +88,21 @@ def test_a_record_too_many_is_a_difference_and_behind_a_loss_it_is_not() -> None
     assert lossy.identical
     assert lossy.behind_loss
     assert lossy.compared == 0
+
+
+def test_the_wing_is_printed_as_it_was_at_the_last_sample(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once the sensors have stopped, the state is a forecast whose sigma grows until it is no longer tracked."""
+    rows = "".join(f"{i / 500},-9.81,-9.80\n" for i in range(600))
+    (tmp_path / "accel.csv").write_text("t_s,left_z_mps2,right_z_mps2\n" + rows)
+
+    def driven(inputs: Iterator[Record], *_: object) -> Iterator[Record]:
+        yield from (mode(record.received_host_ns) for record in inputs if isinstance(record, ImuBatch))
+        last = mode(2 * S)
+        yield dataclasses.replace(last, symmetric=dataclasses.replace(last.symmetric, rms_m=9e-3))
+
+    monkeypatch.setattr("companion.cli.replay.drive", driven)
+    assert main(["replay", str(tmp_path), "--airframe", "nadir-2m"]) == 0
+    screen = capsys.readouterr().out
+    assert "wing   symmetric 5.000 ±0.020 Hz, rms 3.00 ±0.20 mm" in screen
