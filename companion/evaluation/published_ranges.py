@@ -38,7 +38,7 @@ class PublishedRanges:
 
     @property
     def first_s(self) -> float | None:
-        """Time to the first published range, from lift-off where ``lifted_off``, else from the recording's begin."""
+        """Time to the first published range's exposure, from lift-off where ``lifted_off``, else from the begin."""
         return None if self._first_wait_ns is None else self._first_wait_ns * 1e-9
 
     @property

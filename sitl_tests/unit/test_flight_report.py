@@ -169,7 +169,7 @@ def test_the_wait_for_the_first_range_and_the_longest_after_it_are_both_said() -
     every_second = [at(t_s) for t_s in np.arange(12.0, 30.0)]
     judged = verdict(gather([mode(0), *every_second, at(33.0)]))
     first, longest = judged.reasons
-    assert first == "first range published 12.0 s after the recording's begin (the wing is learned before)"
+    assert first == "first published range exposed 12.0 s after the recording's begin (the wing is learned before)"
     assert longest == "after it, the longest time without a range was 4.0 s"
     assert judged.word == "usable", "a warm-up of this length is what a wing takes"
     slow = verdict(gather([mode(0), at(31.0), at(32.0)]))

@@ -107,7 +107,7 @@ def _waits(published: PublishedRanges) -> tuple[str, ...]:
     if published.first_s is None:
         return ()
     begin = "lift-off" if published.lifted_off else "the recording's begin"
-    first = f"first range published {published.first_s:.1f} s after {begin} (the wing is learned before)"
+    first = f"first published range exposed {published.first_s:.1f} s after {begin} (the wing is learned before)"
     return first, f"after it, the longest time without a range was {published.longest_silence_s:.1f} s"
 
 
