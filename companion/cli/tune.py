@@ -7,6 +7,7 @@ import dataclasses
 import json
 import multiprocessing
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from companion.evaluation.tuning import JUDGED, ParameterTrial, TrialOutcome, tr
 from companion.params.settings import Settings
 
 _MOST_WORKERS = 64  # more than there are trials (choice)
-_HEADS = ("trial", "shots", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
+_HEADS = ("trial", "planned", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,14 +54,14 @@ def execute(options: argparse.Namespace) -> int:
         return NOTHING_TO_ESTIMATE
     each_s = time.monotonic() - began_s
     say(f"{len(trials)} trials, two replays each: {waits(each_s * len(trials) / options.workers)}")
-    for trial, outcome in _tried(options.recording, trials, options.workers):
-        rows.append(_row(trial, outcome, flown))
-        _show(rows[-1], options)
-    together = proposal(rows, settings)
-    if len(together.changes) > 1:
+    is_complete = _try_all(options, trials, flown, rows)
+    together, holds = proposal(rows, settings), False
+    if len(together.changes) > 1 and is_complete:
         rows.append(_row(together, try_out(options.recording, together), flown))
         _show(rows[-1], options)
-    result = {"recording": str(options.recording), "trials": rows, "proposal": _proposed(rows, together)}
+        holds = rows[-1]["proposed"]
+    values = dict(together.changes) if holds or len(together.changes) < 2 else _best_single(rows)
+    result = {"recording": str(options.recording), "trials": rows, "proposal": values}
     print(json.dumps(result, indent=2) if options.json else _sentence(result))
     return 0
 
@@ -73,14 +74,40 @@ def _settings(path: Path) -> Settings:
         raise RecordingError(f"{path}: tune needs a recording of Spanwise (.mcap) with ranges") from error
 
 
+def _try_all(
+    options: argparse.Namespace, trials: list[ParameterTrial], flown: TrialOutcome, rows: list[dict[str, Any]]
+) -> bool:
+    """Add and show a row for each trial; False where Ctrl-C ended them, which leaves those that are done."""
+    began = len(rows)
+    try:
+        for trial, outcome in _tried(options.recording, trials, options.workers):
+            rows.append(_row(trial, outcome, flown))
+            _show(rows[-1], options)
+    except KeyboardInterrupt:
+        if len(rows) == began:
+            raise
+        say(f"stopped: proposing by {len(rows) - began} of {len(trials)} trials")
+        return False
+    return True
+
+
 def _tried(path: Path, trials: list[ParameterTrial], workers: int) -> Iterator[tuple[ParameterTrial, TrialOutcome]]:
     """Outcomes in the order of the trials, whatever the number of processes."""
     if workers == 1:
         for trial in trials:
             yield trial, try_out(path, trial)
         return
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from zip(trials, pool.map(try_out, [path] * len(trials), trials), strict=True)
+    at_once = (signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends a worker, which would begin its next trial otherwise
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=signal.signal, initargs=at_once) as pool:
+        futures = [pool.submit(try_out, path, trial) for trial in trials]
+        try:
+            for trial, future in zip(trials, futures, strict=True):
+                yield trial, future.result()
+        except KeyboardInterrupt:
+            for worker in multiprocessing.active_children():  # the pool would wait for every trial that is left
+                worker.terminate()
+            raise
 
 
 def _row(trial: ParameterTrial, outcome: TrialOutcome, flown: TrialOutcome | None) -> dict[str, Any]:
@@ -109,12 +136,10 @@ def _merit(row: dict[str, Any]) -> tuple[int, float]:
     return row["outcome"]["trusted"], -row["outcome"]["sigma_ratio"]
 
 
-def _proposed(rows: list[dict[str, Any]], together: ParameterTrial) -> dict[str, float]:
-    """The joined values where they hold up together, the best single one else."""
-    if len(together.changes) > 1 and not rows[-1]["proposed"]:
-        single = max((row for row in rows[:-1] if row["proposed"]), key=_merit)
-        return dict(single["changes"])
-    return dict(together.changes)
+def _best_single(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """The best proposed value alone, where the joined ones do not hold up together or were not tried."""
+    singles = (row for row in rows if row["proposed"] and len(row["changes"]) == 1)
+    return dict(max(singles, key=_merit)["changes"])
 
 
 def _show(row: dict[str, Any], options: argparse.Namespace) -> None:
@@ -143,8 +168,9 @@ def _line(cells: tuple[object, ...]) -> str:
 def _sentence(result: dict[str, Any]) -> str:
     values = result["proposal"]
     note = (
-        "ranges are of the pairs that were flown; another trigger setting would have made others (shots). Sigma is "
-        f"the median of sigma over range, scatter the differences of neighbours in their sigmas. {JUDGED}"
+        "ranges are of the pairs that were flown; another trigger setting would have made others (planned; some "
+        "are not fired). Sigma is the median of sigma over range, scatter the differences of neighbours in their "
+        f"sigmas. {JUDGED}"
     )
     if not values:
         return f"nothing to change: no trial betters one figure and worsens none\n({note})"

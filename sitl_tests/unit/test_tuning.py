@@ -139,6 +139,29 @@ def test_the_command_prints_the_same_for_one_process_and_for_two(
     assert set(printed[0]["proposal"]) <= names
 
 
+def test_trials_that_are_done_are_proposed_from_after_ctrl_c(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes = {"": FLOWN, "RNG_TRUST": like_flown(trusted=165), "TRG_BLUR": like_flown(sigma_ratio=0.008)}
+
+    def trial_until_stopped(_: Path, trial: ParameterTrial) -> TrialOutcome:
+        name = "".join(name for name, _ in trial.changes)
+        if name not in outcomes:
+            raise KeyboardInterrupt
+        return outcomes[name]
+
+    monkeypatch.setattr(tune, "_settings", lambda _: Settings())
+    monkeypatch.setattr(tune, "try_out", trial_until_stopped)
+    command = ["tune", str(tmp_path / "flight.mcap"), "--workers", "1"]
+    tries = [f"--try={change}" for change in ("RNG_TRUST=0.06", "TRG_BLUR=0.4", "TRG_RATE=5", "TRK_LAG=0.5")]
+    assert main([*command, *tries]) == 0
+    printed = capsys.readouterr()
+    assert "proposed: --set RNG_TRUST=0.06 " in printed.out, "the better one: the two together were not tried"
+    assert "stopped: proposing by 2 of 4 trials" in printed.err
+    assert "planned" in printed.out.splitlines()[0]
+    assert main([*command, *tries[2:]]) == 130
+
+
 @pytest.mark.parametrize("words", [["--try", "RNG_TRUST"], ["--try", "RNG_TRUST=much"], ["--try", "RNG_TRUST=9"]])
 @pytest.mark.slow
 def test_a_value_that_cannot_be_tried_is_refused(words: list[str], flight: Path) -> None:
