@@ -13,7 +13,9 @@ from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns, VibrationRun, mode_of, modes_of_runs, responses
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.errors import RecordingError
+from companion.evaluation.pages import measured_pages
 from companion.records import Floats
+from companion.reporting.blocks import Table
 
 F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)
 NOISE = 0.05
@@ -135,8 +137,12 @@ def test_a_second_mode_that_does_not_follow_the_channel_is_left_over() -> None:
     ))  # fmt: skip
     diagnosis = diagnose_modal_test([modes[0], drifting], [run.constants for run in runs], lambda _what, _ratio: None)
     assert diagnosis.outcome.verdict is DiagnosisVerdict.UNEXPLAINED
-    reason = as_json(diagnosis, ["a"], None)["reason"]
-    assert "position goes with it, but: left over: one frequency near 15" in reason
+    plain = as_json(diagnosis, ["a"], None)
+    assert "position goes with it, but: left over: one frequency near 15" in plain["reason"]
+    (note,) = plain["notes"]
+    assert "the last that agrees with all before it, to run 6, which is furthest from these" in note
+    heads = [block.heads for block in measured_pages._modes(plain) if isinstance(block, Table)]
+    assert "change between these two runs" in heads[0], "lowest and highest are other runs than those of the note"
 
 
 @pytest.mark.parametrize("count", [2, 5, 10])

@@ -146,6 +146,6 @@ def _note(changed: ChangedMode) -> str:
     runs, f_hz = changed.mode.runs, changed.mode.frequency_hz
     percent = 100.0 * changed.change_hz / f_hz[changed.first]
     return (
-        f"also near {changed.mode.near_hz:.2f} Hz: {percent:+.1f} % "
-        f"from run {runs[changed.first]} to run {runs[changed.last]}"
+        f"also near {changed.mode.near_hz:.2f} Hz: {percent:+.1f} % from run {runs[changed.first]}, the last that "
+        f"agrees with all before it, to run {runs[changed.last]}, which is furthest from these"
     )

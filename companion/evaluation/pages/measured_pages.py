@@ -273,7 +273,7 @@ def _modes(plain: dict[str, Any]) -> list[Block]:
          f"{100.0 * _change(mode):+.1f} %", f"{_in_sigmas(mode):.0f}"]
         for mode in changes
     ]  # fmt: skip
-    moved = Table(["mode", "lowest to highest", "change", "in its sigmas"], rows, 0)
+    moved = Table(["mode", "lowest to highest", "change between these two runs", "in its sigmas"], rows, 0)
     heads = ["run", *[f"near {mode['near_hz']:.2f} Hz" for mode in plain["modes"]]]
     rows = []
     for k, run in enumerate(plain["modes"][0]["runs"]):
