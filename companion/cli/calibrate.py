@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind.add_argument("--airframe", required=True, metavar="NAME", help="what the result is written into")
         kind.add_argument(
             "--out", type=Path, default=Path("out/calibrate"), metavar="FOLDER",
-            help="where to write airframe.toml (default: %(default)s); it replaces none but the one of --airframe",
+            help="where to write airframe.toml, which replaces none but that of --airframe",
         )  # fmt: skip
 
 

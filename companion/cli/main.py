@@ -44,14 +44,25 @@ _ONE_THREAD = ("diagnose", "fleet")
 
 
 class _WithDefaults(argparse.HelpFormatter):
-    """Help that says each option's default, where it has one."""
+    """Help that says each option's default, where it has one, and keeps the lines of a text that has several."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, default = action.help or "", action.default
-        says = isinstance(default, str | int | float | Path) and not isinstance(default, bool)
+        says = isinstance(default, str | int | float | Path | tuple) and not isinstance(default, bool)
         if not (action.option_strings and says) or default in ("", argparse.SUPPRESS) or "default" in text:
             return text
-        return f"{text} (default: {f'{default:g}' if isinstance(default, float) else default})"
+        values = default if isinstance(default, tuple) else (default,)
+        return f"{text} (default: {' '.join(f'{v:g}' if isinstance(v, float) else str(v) for v in values)})"
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if "\n" in text else super()._fill_text(text, width, indent)
+
+
+class _CommandParser(argparse.ArgumentParser):
+    """Parser of a command and, as argparse makes them of the same class, of its parts."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **{"formatter_class": _WithDefaults, **options})
 
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
@@ -60,11 +71,9 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         prog="spanwise", description="Stereo ranges that stay true while the wing bends.", allow_abbrev=False
     )
     parser.add_argument("--version", action="version", version=f"spanwise {metadata.version('spanwise')}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command", parser_class=_CommandParser)
     for name, text in _COMMANDS.items():
-        command = commands.add_parser(
-            name, help=text, description=text, allow_abbrev=False, formatter_class=_WithDefaults
-        )
+        command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
         if only in (None, name):
             _module(name).add_arguments(command)
     return parser

@@ -42,3 +42,20 @@ def test_help_lists_every_effect_with_its_unit(command: str, capsys: pytest.Capt
         size = "recorded channel" if effect.follows_channel else effect.parameters()[0].unit or "ratio"
         assert size in line
     assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize(
+    ("command", "defaults"),
+    [
+        (("calibrate", "stereo"), ("out/calibrate", "10 7", "20", "600")),
+        (("identify", "flight"), ("out/identify", "2 40")),
+        (("setup", "wing"), ("out/wing", "10", "300")),
+        (("simulate",), ("nadir-2m", "60")),
+    ],
+)
+def test_help_says_the_defaults_of_a_command_and_of_its_parts(
+    command: tuple[str, ...], defaults: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = " ".join(said_by(capsys, *command, "--help").split())
+    for default in defaults:
+        assert f"(default: {default})" in text

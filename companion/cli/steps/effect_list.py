@@ -22,7 +22,6 @@ def add_effect_list(parser: argparse.ArgumentParser, heading: str) -> None:
     for group in Group:
         lines += ["", f"{group}:"]
         lines += [_row(effect) for effect in effects.values() if effect.group is group]
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(lines)
 
 
