@@ -85,7 +85,7 @@ def _module(command: str) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; never a traceback for a bad input, a full disk, a closed pipe or Ctrl-C."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = [_at_home(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     name = words[0] if words and words[0] in _COMMANDS else ""
     if name in _ONE_THREAD:  # before numpy is loaded
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -107,6 +107,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename is not None else ""
         return _failed(name, f"{where}{error.strerror or error}")
     return code
+
+
+def _at_home(word: str) -> str:
+    """The word, with a quoted ``~/`` as the shell takes it where it is not quoted; of an option behind its sign."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return option + equals + (os.path.expanduser(value) if value.startswith("~/") else value)
 
 
 def _failed(name: str, sentence: str, code: int = 1) -> int:

@@ -19,7 +19,14 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
 from companion.adapters.recordings.recording import Recording
 from companion.cli.steps.live_view import add_live, live_session, read_live
-from companion.cli.steps.options import add_recording, add_settings, check_output, open_given, read_settings
+from companion.cli.steps.options import (
+    add_recording,
+    add_settings,
+    check_ending,
+    check_output,
+    open_given,
+    read_settings,
+)
 from companion.cli.steps.paced_view import PacedView
 from companion.cli.terminal.progress import Progress, progress_of, say
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
@@ -94,6 +101,7 @@ class OutputCounters:
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
     check_output(options.out, "--out", [options.recording])
+    check_ending(options.out, "--out", ".mcap")
     recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")

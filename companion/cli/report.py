@@ -8,7 +8,7 @@ from pathlib import Path
 
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
-from companion.cli.steps.options import add_recording, check_output, open_given
+from companion.cli.steps.options import add_recording, check_ending, check_output, open_given
 from companion.cli.terminal.progress import progress_of
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.flight_log import gather
@@ -29,6 +29,7 @@ def execute(options: argparse.Namespace) -> int:
     require_report()
     out = options.out or options.recording.resolve().with_suffix(".html")
     check_output(out, "--out", [options.recording])
+    check_ending(options.out, "--out", ".html")
     recording = open_given(options)
     log = gather(_watched(recording, plain=options.plain))
     out.write_text(render(recording, log), encoding="utf-8")

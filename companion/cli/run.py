@@ -14,7 +14,7 @@ from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
 from companion.cli.steps.live_view import add_live, read_live
 from companion.cli.steps.numbers import number, seconds
-from companion.cli.steps.options import add_settings, read_settings, state_file
+from companion.cli.steps.options import add_settings, check_ending, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.terminal.progress import say
 from companion.cli.terminal.run_loop import fly
@@ -77,6 +77,7 @@ def execute(options: argparse.Namespace) -> int:
 
 def service_config(options: argparse.Namespace) -> ServiceConfig:
     """Configuration that the options ask for."""
+    check_ending(options.record, "--record", ".mcap")
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
     if len(set(options.connect)) < len(options.connect):

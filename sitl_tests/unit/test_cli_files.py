@@ -68,6 +68,29 @@ def test_an_interrupted_demo_leaves_no_result_of_another_flight(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("words", "ending"),
+    [
+        (["report", "flight.mcap", "--out"], ".html"),
+        (["replay", "flight.mcap", "--out"], ".mcap"),
+        (["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--record"], ".mcap"),
+    ],
+)
+def test_a_file_is_not_named_as_what_it_does_not_hold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], ending: str
+) -> None:
+    assert main([*words, str(tmp_path / "x.tlog")]) == 1
+    assert f"x.tlog: what is written there ends in {ending}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [["--out", "~/flown"], ["--out=~/flown"]])
+def test_a_quoted_home_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: list[str]) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "--duration", "2", *option]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["flown"]
+
+
 def test_the_recording_that_is_told_is_the_one_that_was_written(tmp_path: Path) -> None:
     before, written = tmp_path / "flight.mcap", tmp_path / "flight.2.mcap"
     before.write_bytes(b"yesterday")

@@ -102,6 +102,12 @@ def check_output(path: Path | None, option: str, inputs: Sequence[Path] = ()) ->
         raise ConfigError(f"{option} {path}: cannot be written (permission denied)")
 
 
+def check_ending(path: Path | None, option: str, ending: str) -> None:
+    """Refuse a file whose name says that it holds something else; ``-`` and devices have no ending."""
+    if path is not None and path.suffix.lower() not in ("", ending):
+        raise ConfigError(f"{option} {path}: what is written there ends in {ending}")
+
+
 def make_folder(path: Path, option: str = "--out") -> None:
     """Make the folder that results go into.
 
