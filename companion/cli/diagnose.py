@@ -21,6 +21,7 @@ from companion.diagnosis.summary import summary_sentences
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation import measured_structures, sampling_check
 from companion.evaluation.extended_airframe import extended
+from companion.evaluation.findings_output import tell_written
 from companion.evaluation.flight_models import models_of
 from companion.evaluation.pages.diagnosis_page import write_report
 from companion.evaluation.recorded_evidence import airframe_of
@@ -87,6 +88,7 @@ def execute(options: argparse.Namespace) -> int:
             Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if options.html:
         write_report(diagnosis, models, plain, Path(options.html))
+    tell_written(options.json, options.html)
     if not diagnosis.causes:
         _say_nothing_to_apply(options)
     elif options.apply is not None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import load_mapping, parse_mapping, shipped_mappings
@@ -19,6 +20,7 @@ from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.evaluation import measured_structures
+from companion.evaluation.findings_output import write_findings
 from companion.params.files import load_airframe
 from companion.records import Axis, Station
 from sitl_tests.unit.text_table_mapping import text_table_mapping
@@ -242,3 +244,26 @@ def test_conversions_undo_each_other(units: tuple[str, str]) -> None:
     assert back is not None
     assert forward * back == pytest.approx(1.0)
     assert conversion(units[0], "k") is None
+
+
+def test_folders_below_that_hold_the_files_are_named(tmp_path: Path) -> None:
+    mapping = load_mapping("dropbear8")
+    for name in ("slow1", "slow2", "papers"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / ("test0.txt" if name != "papers" else "read.me")).touch()
+    with pytest.raises(RecordingError, match=r"no file 'test\*\.txt'") as error:
+        files_of(tmp_path, mapping)
+    assert str(error.value).endswith(f"; give folders that have them: {tmp_path / 'slow1'} {tmp_path / 'slow2'}")
+
+
+def test_a_table_in_another_layout_is_told_from_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"spanwise diagnose --mapping$"):
+        open_recording(table(tmp_path, "Time\tAcc\n0\t1\n", "test0.txt"))
+
+
+def test_what_a_diagnosis_wrote_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, findings = str(tmp_path / "a.html"), str(tmp_path / "a.json")
+    said = {findings: f"wrote {findings} and {page}\n", None: f"wrote {page}\n", "-": "{}\n"}
+    for json_target, printed in said.items():
+        write_findings({}, json_target, page, lambda _: None, lambda: "")
+        assert capsys.readouterr().out == printed

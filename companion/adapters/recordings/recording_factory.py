@@ -18,6 +18,8 @@ from companion.errors import AirframeNeeded, RecordingError
 from companion.params.airframe import Airframe
 
 _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
+_TABLES = "; a laboratory's table in another layout is read by spanwise diagnose --mapping"
+_TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".mat")  # of tables that a mapping may read (convention)
 SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
 """Endings of recordings that are a file, in lower case."""
 _MOST_NAMED = 5  # chosen: files of a folder that a sentence names and stays legible
@@ -52,7 +54,8 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
         return UlogRecording(path, _needed(airframe, path))
     if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
         return TlogRecording(path, _needed(airframe, path))
-    raise RecordingError(f"{path}: not a recording that can be read; {_FORMATS}")
+    tables = _TABLES if path.suffix.lower() in _TABLE_SUFFIXES else ""
+    raise RecordingError(f"{path}: not a recording that can be read; {_FORMATS}{tables}")
 
 
 def is_recording_file(path: Path) -> bool:

@@ -17,6 +17,7 @@ from companion.adapters.recordings.tables.mapping import MatlabLayout, TableMapp
 from companion.errors import RecordingError
 from companion.records import Floats
 
+_MOST_NAMED = 5  # chosen: folders that a sentence names and stays legible
 MAY_BE_MISSING = frozenset({"range_m", *RANGE_OPTIONAL})
 """Channels whose cells may be empty where the pair made no range."""
 
@@ -57,10 +58,18 @@ def files_of(path: Path, mapping: TableMapping) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path}: no such file or folder")
-    fitting = [file for file in path.iterdir() if file.is_file() and fnmatch.fnmatch(file.name, mapping.files)]
+    fitting = _fitting(path, mapping)
     if not fitting:
-        raise RecordingError(f"{path}: no file '{mapping.files}', which {mapping.origin} asks for")
+        folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and _fitting(folder, mapping)]
+        listed = " ".join(str(folder) for folder in folders[:_MOST_NAMED]) + " ..." * (len(folders) > _MOST_NAMED)
+        beside = f"; give folders that have them: {listed}" if folders else ""
+        raise RecordingError(f"{path}: no file '{mapping.files}', which {mapping.origin} asks for{beside}")
     return sorted(fitting, key=lambda file: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", file.name)])
+
+
+def _fitting(folder: Path, mapping: TableMapping) -> list[Path]:
+    """Files of a folder that fit the mapping's pattern, in no order."""
+    return [file for file in folder.iterdir() if file.is_file() and fnmatch.fnmatch(file.name, mapping.files)]
 
 
 def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
