@@ -6,6 +6,7 @@ TOML files, the MAVLink parameter protocol, component metadata and ``config/PARA
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -213,7 +214,9 @@ class Settings:
                 return dataclasses.replace(self, **change)
         if flown and name in _RETIRED:
             return self
-        raise ConfigError(f"no parameter '{name}'")
+        near = difflib.get_close_matches(name.upper(), [row.name for row in tunables()], n=1)
+        hint = f"is it {near[0]}? " if near else ""
+        raise ConfigError(f"no parameter '{name}'; {hint}spanwise params lists them")
 
     def with_values(self, values: Mapping[str, float], *, flown: bool = False) -> Settings:
         """Give the settings with several values changed, as :meth:`replace` changes one."""

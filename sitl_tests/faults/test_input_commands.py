@@ -196,6 +196,8 @@ def test_an_empty_tlog_holds_nothing(refused: Callable[..., str], tmp_path: Path
     ("change", "problem"),
     [
         ("RNG_MAXIMUM=5", "RNG_MAXIMUM"),
+        ("trg_rat=5", "no parameter 'trg_rat'; is it TRG_RATE? spanwise params lists them"),
+        ("X=5", "no parameter 'X'; spanwise params lists them"),
         ("RNG_MAX=far", "RNG_MAX=far"),
         ("RNG_MAX", "NAME=VALUE"),
         ("RNG_MAX=9000", "outside 5 to 500 m"),
