@@ -152,7 +152,8 @@ def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
     draw_flight(motion, modes, options.out)
     modes = {name: [mode for mode in family if mode.resolved] for name, family in modes.items()}
     if not all(modes.values()):
-        print("not both families show a mode: no airframe written")
+        beside = f"{options.out / 'modes.json'} and spectra.png have what there is"
+        print(f"not both families show a mode: no airframe written; {beside}")
         return NOTHING_TO_ESTIMATE
     wing = into.wing
     bent = dataclasses.replace(

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response, read_vibration_test
 from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
 from companion.cli import identify
+from companion.cli.main import main
 from companion.errors import ConfigError, SpanwiseError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Station
@@ -314,3 +316,16 @@ def test_the_longest_segment_holds_no_gap_of_any_station() -> None:
     assert np.array(_shared(nested)) == pytest.approx([40.0 * second, 59.99 * second])
     early = {Station.ROOT: without((5.0, 30.0)), Station.LEFT: without((-1.0, 8.0)), Station.RIGHT: without()}
     assert np.array(_shared(early)) == pytest.approx([30.0 * second, 59.99 * second])
+
+
+def test_files_of_a_flight_without_modes_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calm = SimpleNamespace(modes=lambda _: {"symmetric": [], "antisymmetric": []})
+    recording = SimpleNamespace(airframe=load_airframe("nadir-2m"), records=list, hub=None)
+    monkeypatch.setattr(identify, "open_recording", lambda *_: recording)
+    monkeypatch.setattr(identify, "wing_motion", lambda *_: calm)
+    monkeypatch.setattr(identify, "draw_flight", lambda *_: None)
+    assert main(["identify", "flight", "flight.mcap", "--out", str(tmp_path)]) == 3
+    assert f"{tmp_path / 'modes.json'} and spectra.png have what there is" in capsys.readouterr().out
+    assert (tmp_path / "modes.json").is_file()
