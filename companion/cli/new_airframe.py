@@ -234,6 +234,7 @@ def _next(measured: Measured, out: Path) -> str:
     steps = [
         (f"spanwise simulate --airframe {out} --out out/rehearsal", "does it bend as you know it to?"),
         (f"spanwise doctor --connect LINK --airframe {out}", "on the vehicle: rates, filters, nodes, parameters"),
+        (f"spanwise setup wing --connect LINK --airframe {out}", "nodes, axes, signs and modes, guided, by hand"),
         (f"spanwise run --connect LINK --airframe {out}", "lift both tips by hand: symmetric bending must follow"),
     ]
     if measured.looks != "none":

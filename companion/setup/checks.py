@@ -59,8 +59,12 @@ def groups_there(tree: Tree) -> list[str]:
 
 
 def _board(tree: Tree, board: CompanionBoard) -> SystemCheck:
+    """Kind and UART; a running system has devices, and may not have this one before a restart or without a cable."""
     said = model(tree)
-    return SystemCheck("board", f"{said or board.name}, UART {board.uart}" + (f", as {board.name}" if said else ""))
+    figure = f"{said or board.name}, UART {board.uart}" + (f", as {board.name}" if said else "")
+    if tree.path("dev/null").exists() and not tree.path(board.uart.lstrip("/")).exists():
+        figure += " (not there now; --link names another)"
+    return SystemCheck("board", figure)
 
 
 def _python() -> SystemCheck:

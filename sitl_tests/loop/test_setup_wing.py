@@ -8,13 +8,16 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from companion.cli.main import main
 from companion.cli.steps import setup_wing
+from companion.cli.steps.wing_guide import WingGuide
 from companion.errors import ConfigError
+from companion.params.files import load_airframe
 from companion.records import Station
 from companion.sim.rehearsal.bench import Miswiring
 from sitl_tests.ports import free_port
@@ -60,11 +63,18 @@ def test_exchanged_nodes_and_a_turned_axis_are_named(
     assert "4 to mend" in said
 
 
+def test_a_modes_sigma_is_printed_with_the_digits_that_it_has() -> None:
+    mode = SimpleNamespace(frequency_hz=5.0017, frequency_sigma_hz=0.0041)
+    guide = SimpleNamespace(_airframe=load_airframe("nadir-2m"))
+    step = WingGuide._mode(guide, "symmetric", mode)  # type: ignore[arg-type]
+    assert step.figure == "symmetric 5.002 ±0.004 Hz, the airframe says 5.00 ±0.35"
+
+
 @pytest.mark.long
 def test_plucked_modes_are_those_of_the_wing(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*COMMAND, "--step", "modes"]) == 0
     said = capsys.readouterr().out
-    modes = re.findall(r"(symmetric|antisymmetric) ([\d.]+) \+- ", said)
+    modes = re.findall(r"(symmetric|antisymmetric) ([\d.]+) ±0\.0\d*[1-9]", said)
     assert [name for name, _ in modes] == ["symmetric", "antisymmetric"]
     assert [float(value) for _, value in modes] == pytest.approx([5.0, 6.4], rel=0.01), "the airframe's, undamped"
 

@@ -213,6 +213,7 @@ def test_at_a_terminal_it_asks_and_asks_again(
     assert (airframe.wing.semispan_m, airframe.orientation, airframe.left.sends) == (1.5, 0, "z")
     assert airframe.wing.antisymmetric.frequency_hz.value == pytest.approx(1.28 * 4.2, rel=1e-3)
     assert f"spanwise doctor --connect LINK --airframe {out}" in said.out
+    assert f"spanwise setup wing --connect LINK --airframe {out}" in said.out
 
 
 @pytest.mark.slow

@@ -459,6 +459,17 @@ def test_a_change_interrupted_before_its_end_can_be_undone(pi5: Path, monkeypatc
     assert {name: after[name] for name in before} == before
 
 
+def test_a_uart_that_is_not_there_is_not_passed_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An image has no devices; a system that runs has, and this one's may not be plugged in."""
+    root = fake_board(tmp_path, "plain")
+    for device, is_absent in (("", False), ("dev/null", True), ("dev/ttyACM0", False)):
+        if device:
+            write(root, device, "")
+        setup(root, "--dry-run")
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if "UART /dev/ttyACM0" in line)
+        assert ("not there now; --link names another" in line) is is_absent
+
+
 def test_every_next_step_is_a_command_that_the_program_takes(
     board: tuple[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -170,7 +170,7 @@ def _first_range(options: argparse.Namespace, airframe: str) -> list[GuideStep]:
     fly(Service(config), view, lambda: bool(trusted) or clock.now_ns() > ends_ns, live=False, each=take)
     took_s = (clock.now_ns() - began_ns) * 1e-9
     if trusted:
-        step = GuideStep("range", f"{trusted[0].range_m:.2f} +- {trusted[0].sigma_m:.2f} m after {took_s:.0f} s")
+        step = GuideStep("range", f"{trusted[0].range_m:.2f} ±{trusted[0].sigma_m:.2f} m after {took_s:.0f} s")
     else:
         step = GuideStep("range", f"none in {took_s:.0f} s", "the last line above says why; config/TROUBLESHOOTING.md")
     _show(step)

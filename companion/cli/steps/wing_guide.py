@@ -163,8 +163,8 @@ class WingGuide:
             return GuideStep("modes", f"{family}: none told", "pluck harder, and both tips at once")
         believed = getattr(self._airframe.wing, family).frequency_hz
         sigma_hz = max(float(np.hypot(mode.frequency_sigma_hz, believed.sigma)), _LEAST_SIGMA_HZ)
-        figure = f"{family} {mode.frequency_hz:.2f} +- {mode.frequency_sigma_hz:.2f} Hz, the airframe says "
-        figure += f"{believed.value:.2f} +- {believed.sigma:.2f}"
+        figure = f"{family} {mode.frequency_hz:.3f} ±{mode.frequency_sigma_hz:.3f} Hz, the airframe says "
+        figure += f"{believed.value:.2f} ±{believed.sigma:.2f}"
         is_near = abs(mode.frequency_hz - believed.value) <= _SIGMAS * sigma_hz
         return GuideStep("modes", figure, "" if is_near else "write it into the airframe file, or widen its sigma")
 
