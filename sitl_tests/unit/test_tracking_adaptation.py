@@ -10,12 +10,13 @@ import pytest
 from scipy.signal import lfilter
 
 from companion.core.tracking.adaptation.adaptation import Adaptation
+from companion.core.tracking.adaptation.gap_filling import fill_gaps
 from companion.core.tracking.adaptation.model_spectrum import load_density
 from companion.core.tracking.model import WingParameters
-from companion.core.tracking.parameters import prior_parameters
+from companion.core.tracking.parameters import FIRST_PARAMETERS, prior_parameters
 from companion.core.tracking.rigid_body import Epochs
 from companion.core.tracking.spread_work import SpreadWork
-from companion.core.tracking.states import ROWS, Z_LEFT, Z_RIGHT, make_layout, make_noise
+from companion.core.tracking.states import P_ROOT, ROWS, Z_LEFT, Z_RIGHT, make_layout, make_noise
 from sitl_tests.unit.tracking_samples import plain_airframe
 
 STEP_S = 0.004
@@ -158,6 +159,59 @@ def test_where_one_tip_never_comes_the_other_is_fitted(settled: tuple[Adaptation
     estimated_hz = adaptation.parameters[0].frequency_hz
     # the asymptotic limit: a mode locks to sqrt(zeta / (omega T)) = 1.1 % in 8 s; three of that, and believed 7 % off
     assert estimated_hz == pytest.approx(TRUE_HZ, rel=3 * math.sqrt(ZETA / (2 * math.pi * TRUE_HZ * 8.0)))
+
+
+@pytest.mark.parametrize(("lost_s", "every_s", "root"), [(0.02, 1.5, False), (0.06, 5.0, False), (0.02, 1.5, True)])
+def test_lost_samples_change_no_parameter_by_a_sigma(lost_s: float, every_s: float, root: bool) -> None:
+    """The link of the right tip, or of the root while the aircraft rolls, loses them; zeros would be a comb's lines."""
+    complete, holed = _compared(lost_s, every_s, root)
+    first_mode = slice(FIRST_PARAMETERS)  # the wing of these samples has no other
+    change = (_logs(holed) - _logs(complete))[first_mode] / complete.parameters[0].log_sigma[first_mode]
+    assert np.abs(change).max() < 0.8
+    for with_gaps, without in zip(holed.parameters, complete.parameters, strict=True):
+        assert with_gaps.noise_ratio == pytest.approx(without.noise_ratio, rel=0.5)
+        assert with_gaps.white_loads[0] == pytest.approx(without.white_loads[0], rel=0.5)
+
+
+def test_short_gaps_hold_up_no_fit_though_the_link_loses_a_tenth() -> None:
+    complete, holed = _compared(0.06, 0.66, False)
+    change = (_logs(holed) - _logs(complete))[:2] / complete.parameters[0].log_sigma[:2]
+    assert np.abs(change).max() < 0.8, "frequency and damping; what is lost leaves the gust's corners open"
+
+
+def _compared(lost_s: float, every_s: float, root: bool) -> tuple[Adaptation, Adaptation]:
+    """Adaptations to a flight without and with lost samples of the right tip, or of the root; both fit as often."""
+    whole_flight = _epochs(14.0, corners_hz=(0.3, 8.0))
+    t_s = STEP_S * np.arange(whole_flight.length)
+    whole_flight.rows[:, P_ROOT] = 0.5 * np.sin(0.6 * math.pi * t_s)
+    lift_mps2 = 0.3 * math.pi * np.cos(0.6 * math.pi * t_s)
+    whole_flight.rows[:, Z_LEFT] -= lift_mps2
+    whole_flight.rows[:, Z_RIGHT] += lift_mps2
+    lost = t_s % every_s > every_s - lost_s
+    rows, present, covered = whole_flight.rows.copy(), whole_flight.present.copy(), ~(lost & root)
+    at = np.ix_(lost, [Z_LEFT, Z_RIGHT, P_ROOT] if root else [Z_RIGHT])
+    rows[at], present[at] = 0.0, False
+    complete, holed = _adaptation(), _adaptation()
+    came = _fed(complete, whole_flight)
+    assert _fed(holed, whole_flight._replace(rows=rows, present=present, root_covered=covered)) == came
+    return complete, holed
+
+
+def test_a_gap_is_filled_better_than_by_a_line_and_nothing_else_is_touched() -> None:
+    values = 3.0 + _epochs(8.0, corners_hz=(2.0, 20.0)).rows[:, Z_LEFT]
+    present = np.ones(len(values), dtype=bool)
+    for first, end in ((0, 4), (500, 515), (530, 540), (1200, 1250), (1997, 2000)):
+        present[first:end] = False
+    filled = fill_gaps(np.where(present, values, 0.0), present)
+    np.testing.assert_allclose(filled[present], values[present], atol=1e-12)
+    at = np.arange(len(values))
+    line = np.interp(at, at[present], values[present])
+    assert np.std((filled - values)[~present]) < 0.5 * np.std((line - values)[~present])
+
+
+def test_what_is_always_zero_is_filled_with_zero() -> None:
+    present = np.arange(500) % 50 > 4
+    np.testing.assert_array_equal(fill_gaps(np.zeros(500), present), np.zeros(500))
 
 
 def test_a_drift_is_followed_beyond_what_was_believed_possible() -> None:

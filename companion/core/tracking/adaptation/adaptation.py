@@ -17,10 +17,11 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, SLOPE_RATES, STATIC, Channels
+from companion.core.tracking.adaptation.gap_filling import fill_gaps
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S, SEGMENT_S, FitInput, SpectralFit
 from companion.core.tracking.model import WingParameters
 from companion.core.tracking.spread_work import SPREAD_S, Stages
-from companion.core.tracking.states import P_LEFT, P_RIGHT, P_ROOT, SensorNoise, StateLayout
+from companion.core.tracking.states import P_LEFT, P_RIGHT, P_ROOT, Z_LEFT, Z_RIGHT, SensorNoise, StateLayout
 from companion.records import Bools, Floats
 
 _BEGUN_S = 6.0  # chosen: a history that began anew must outweigh what the last parameters were fitted to
@@ -28,8 +29,11 @@ _LONG_S = 20.0  # chosen: five periods of the lowest frequency that is fitted
 _FIRST_S = 1.5  # chosen: seven periods at 5 Hz for the first fit
 _PERIOD_S = 1.0  # chosen: between fits
 _ALIASING_MEMORY_S = 5.0  # chosen: of the mean aliasing noise
-_MIN_PRESENT = 0.98  # chosen: of the epochs of a segment
-_GAP_EPOCHS = 11  # chosen, odd: mostly absent over so many epochs is a gap, a lost sample is none
+_NO_GAP = 0.98  # chosen: of the epochs of a history with both tips; what is missing is filled
+_MIN_PRESENT = 0.9  # chosen: of the epochs of a segment; filled ones lack the load that nobody can tell
+_GAP_EPOCHS = 51  # chosen, odd, a period at 5 Hz: absent over so many epochs is a gap, shorter ones are filled
+_LOSS_EPOCHS = 11  # chosen, odd: the same where more is missing than may be filled
+_MEASURED = ((Z_LEFT, 0), (Z_RIGHT, 1), (ROLL, 2), (STATIC, 2))  # by definition: columns, and by whom: tips, root
 
 
 class FitProgress(NamedTuple):
@@ -75,7 +79,7 @@ class Adaptation:
         self._bias_parameters, self._bend_per_g_m = np.zeros(len(layout.bias_parameters)), 0.0
         self.refilter = False
         size, self._segment_epochs = round(_LONG_S / step_s), round(SEGMENT_S / step_s)
-        self._rows, self._present = np.zeros((size, COLUMNS)), np.zeros((size, 2), dtype=bool)
+        self._rows, self._present = np.zeros((size, COLUMNS)), np.zeros((size, 3), dtype=bool)
         self._sensitivity = np.zeros((size, 2, len(layout.bias_parameters)))
         self._count = 0
         self._next = round(_FIRST_S / step_s)  # epoch of the next fit
@@ -133,7 +137,7 @@ class Adaptation:
         self._rows[slots, :2], self._sensitivity[slots] = epochs.rows[:, :2], epochs.sensitivity[:, :2]
         self._rows[slots, ROLL], self._rows[slots, STATIC] = epochs.rows[:, P_ROOT], epochs.load_g
         self._rows[slots, SLOPE_RATES] = epoch_slope_rates(epochs)
-        self._present[slots] = epochs.present[:, :2]
+        self._present[slots, :2], self._present[slots, 2] = epochs.present[:, :2], epochs.root_covered
         self._aliasing_noise += min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S) * (
             _mean(epochs.aliasing_noise) - self._aliasing_noise
         )
@@ -170,13 +174,22 @@ class Adaptation:
             return None
         if self._history_from and newest * self._step_s < _BEGUN_S and not (contradicted or self.early):
             return None
-        tips = present[since:].mean(axis=0) >= _MIN_PRESENT
+        tips = present[since:, :2].mean(axis=0) >= _MIN_PRESENT
         if not tips.any():
             return None
         self._due = self._count if self.refilter else self._count + round(SPREAD_S / self._step_s)
         single_tip = None if tips.all() else int(np.argmax(tips))
         estimates = (self.parameters, self._aliasing_noise, self._bend_per_g_m)
-        return self._fit.stages(FitInput(rows[since:], single_tip, elapsed_s, *estimates, contradicted, clipped))
+        inputs = FitInput(rows[since:], single_tip, elapsed_s, *estimates, contradicted, clipped)
+        return self._filled_fit(inputs, present[since:])
+
+    def _filled_fit(self, inputs: FitInput, present: Bools) -> Stages[WingParameters]:
+        """Fit of a history whose gaps are filled first; ``present`` (n, 3)."""
+        for column, sensor in _MEASURED:
+            if _MIN_PRESENT <= present[:, sensor].mean() < 1.0:
+                inputs.rows[:, column] = fill_gaps(inputs.rows[:, column], present[:, sensor])
+                yield
+        return (yield from self._fit.stages(inputs))
 
     def _last_gap(self, present: Bools) -> int:
         """Beginning of the newest segment with both tips, if one of them was absent for a while; 0 where neither was.
@@ -184,14 +197,15 @@ class Adaptation:
         What one tip alone says of both families is worth less than what both have said before.
         """
         both = present[:, 0] & present[:, 1]
-        if both.mean() >= _MIN_PRESENT or not both.any():
+        if both.mean() >= _NO_GAP or not both.any():
             return 0
-        mostly = np.convolve(both, np.ones(_GAP_EPOCHS), mode="same") > 0.5
-        missing = np.flatnonzero(~mostly)
-        return int(missing[-1]) + 1 + _GAP_EPOCHS // 2 if len(missing) else 0
+        gap = _GAP_EPOCHS if present.mean(axis=0).min() >= _MIN_PRESENT else _LOSS_EPOCHS
+        near = np.convolve(both, np.ones(gap), mode="same") > 0.5
+        missing = np.flatnonzero(~near)
+        return int(missing[-1]) + 1 + gap // 2 if len(missing) else 0
 
     def _corrected_history(self) -> tuple[Floats, Bools]:
-        """Stored rows (n, COLUMNS), oldest first, corrected for bias, and their presence (n, 2)."""
+        """Stored rows (n, COLUMNS), oldest first, corrected for bias, and presence of tips and root (n, 3)."""
         count = min(self._count, len(self._rows))
         first = (self._count - count) % len(self._rows)
         rows, present = _in_order(self._rows, first, count).copy(), _in_order(self._present, first, count)
