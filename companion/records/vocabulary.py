@@ -66,6 +66,7 @@ class Reject(enum.StrEnum):
     BEYOND_RANGE = "value beyond the sensor's range"
     LAPSED = "sample contradicts all its neighbours"
     NOT_SETTLED = "tracker not settled"
+    NOT_FITTED = "the wing's modes could not be fitted"
     OUT_OF_WINDOW = "outside the smoother's window"
     TOO_LATE = "sample older than the reorder window"
     NOT_FINITE = "value not finite"

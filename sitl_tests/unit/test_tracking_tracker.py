@@ -264,3 +264,31 @@ def test_what_was_learned_on_the_ground_is_forgotten_at_lift_off() -> None:
             tracker.add(batch(station, t[first : first + 40] + 13000 * MS, v[first : first + 40]))
         tracker.advance(EPOCH_NS + (13000 + first + 40) * MS)
     assert tracker.distrust is None, "trusted after the filter's transient, without another ten seconds"
+
+
+def test_nothing_is_trusted_before_a_fit_was_taken_and_what_was_learned_without_is_forgotten() -> None:
+    """A stopwatch trusted constants that a gust of the airframe file had taught: 4 sigma of toe by a lossy tip."""
+    t, values = swinging(27.0, 0.004)
+    tracker = WingTracker(plain_airframe(), Settings())
+    for first in range(0, len(t), 40):
+        now_ms = first + 40
+        for station, v in values.items():
+            lost = station is not Station.ROOT and now_ms <= 12_000 and first % 400 < 120
+            if not lost:
+                tracker.add(batch(station, t[first:now_ms], v[first:now_ms]))
+        tracker.process_until(EPOCH_NS + now_ms * MS)
+        if now_ms == 9_000:
+            assert tracker.distrust is Reject.NOT_SETTLED
+        elif now_ms == 12_000:
+            assert tracker.distrust is Reject.NOT_FITTED
+        elif now_ms == 17_000:
+            assert tracker._adaptation.fits > 0
+            assert tracker.distrust is Reject.NOT_SETTLED
+            assert tracker._kalman.steps < 250, "the filter began with the first fit"
+            assert tracker.smooth(EPOCH_NS + 16_000 * MS) is Reject.OUT_OF_WINDOW
+    assert tracker.distrust is None
+
+
+def test_without_adaptation_the_airframe_file_is_believed() -> None:
+    t, values = swinging(10.2, 0.004)
+    assert _run(t, values, adapt=0)[0].distrust is None

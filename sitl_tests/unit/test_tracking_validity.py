@@ -14,7 +14,7 @@ from companion.core.tracking.states import make_layout
 from companion.core.tracking.tracker import WingTracker
 from companion.core.tracking.validity import classify_validity
 from companion.params.settings import Settings
-from companion.records import Axis, Station, Validity
+from companion.records import Axis, Reject, Station, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
@@ -97,6 +97,30 @@ def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -
         kalman.state_and_sensitivity[q, 0] += side * 70.0 * sigma_m - kalman.state[q]
         activity.update(kalman, second // 14, kalman.model.step_s)
     assert activity.deflection_sigmas < 7.0
+
+
+def test_fits_that_are_all_refused_contradict_the_model() -> None:
+    tracker, t, values = WingTracker(plain_airframe(), Settings()), *swinging(0.2, 0.004)
+    for station, v in values.items():
+        tracker.add(batch(station, t, v))
+    tracker.process_until(EPOCH_NS + 200 * MS)
+    activity, kalman = tracker._activity, tracker._kalman
+    assert not activity.note_fit(taken=False)
+    assert activity.reject is Reject.NOT_SETTLED
+    activity.settled_s = 10.0
+    activity.update(kalman, 1, kalman.model.step_s)
+    assert activity.reject is Reject.CONTRADICTED
+    assert activity.note_fit(taken=True), "the first that is taken"
+    assert not activity.note_fit(taken=True)
+    activity.update(kalman, 1, kalman.model.step_s)
+    assert activity.reject is None
+    rejects = []
+    for _ in range(20):
+        activity.note_fit(taken=False)
+        rejects.append(activity.reject)
+    assert rejects == [None] * 19 + [Reject.CONTRADICTED]
+    activity.note_fit(taken=True)
+    assert activity.reject is None
 
 
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])

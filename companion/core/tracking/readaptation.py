@@ -12,6 +12,8 @@ from companion.core.tracking.model import DiscreteWingModel, WingParameters
 from companion.core.tracking.rigid_body import join
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.spread_work import Stages
+from companion.core.tracking.states import SensorNoise, StateLayout
+from companion.params.airframe import Wing
 from companion.records import Floats
 
 _SEGMENTS = 5  # chosen: of 40 ms each; filtered in one stage, in less than 1 ms
@@ -35,6 +37,15 @@ class NewParameters(NamedTuple):
     model: DiscreteWingModel
     tried: SeparatedBiasFilter | None
     segments: int
+
+
+def fresh_filter(
+    layout: StateLayout, sensors: SensorNoise, wing: Wing, keep: int, model: DiscreteWingModel, noise: RowNoise
+) -> SeparatedBiasFilter:
+    """Filter at its prior, with a history of ``keep`` steps."""
+    kalman = SeparatedBiasFilter(layout, sensors, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, keep)
+    kalman.take_noise(noise)
+    return kalman
 
 
 def readapt(

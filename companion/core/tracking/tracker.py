@@ -5,6 +5,7 @@ It owns the time grid, the streams and the filter and keeps them in step; the es
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection
 
 import numpy as np
@@ -27,7 +28,7 @@ from companion.core.tracking.manoeuvre_error import ManoeuvreError
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
-from companion.core.tracking.readaptation import NewParameters, readapt
+from companion.core.tracking.readaptation import NewParameters, fresh_filter, readapt
 from companion.core.tracking.rigid_body import BEFORE, MeasurementBuilder, RareGates, join
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
@@ -65,6 +66,7 @@ class WingTracker:
         self._most_epochs = round(_MOST_S / self._step_s)
         (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
+        self._fresh = functools.partial(fresh_filter, self._layout, self._noise, airframe.wing, self._keep)
         self._forecaster = Forecaster(self._layout)
         self._body_rates = BodyRates(self._keep)
         self._start_ns: int | None = None
@@ -85,7 +87,8 @@ class WingTracker:
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         self._trial_epochs: list[Epochs] = []  # on which new parameters are tried
         self._trial_filter = self._kalman.fork(self._kalman.model)
-        self._activity, self._manoeuvre_error = ModalActivity(self._layout), ManoeuvreError()
+        self._activity = ModalActivity(self._layout, adapts=bool(self._settings.adapt))
+        self._manoeuvre_error = ManoeuvreError()
         self._blow = BlowWatch()
         self._inconsistent_s = 0.0
         self._rare_gates = RareGates()
@@ -125,7 +128,7 @@ class WingTracker:
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings; adaptation that is switched on in flight starts again without a history."""
-        before, self._settings = self._settings, settings
+        before, self._settings, self._activity.adapts = self._settings, settings, bool(settings.adapt)
         if settings.adapt and not before.adapt:
             self._restart()
 
@@ -255,12 +258,20 @@ class WingTracker:
                 model = self._kalman.model
             elif self._adaptation.refilter:
                 self._kalman = new.tried
+        if self._activity.note_fit(taken=new.tried is None or not self._refused) and not self._adaptation.refilter:
+            self._start_filter(model)
         if model is not self._kalman.model:
             self._kalman.switch_model(model)
         self._adaptation.parameters = model.parameters
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
             self._mark()
+
+    def _start_filter(self, model: DiscreteWingModel) -> None:
+        """Forget what was learned under a gust that was only believed: constants would keep its errors for good."""
+        self._kalman, self._manoeuvre_error = self._fresh(model, self._row_noise), ManoeuvreError()
+        self._start_ns, self._activity.settled_s = int(self._trial_epochs[-1].start_ns[-1]) + self._step_ns, 0.0
+        self._body_rates.clear()
 
     def _mark(self) -> None:
         """Fork the filter on which the next parameters are tried."""
@@ -270,15 +281,6 @@ class WingTracker:
     def _model(self, parameters: WingParameters) -> DiscreteWingModel:
         """Discrete model at these parameters."""
         return build_model(self._layout, self._noise, parameters, self._levers, self._step_s)
-
-    def _fresh(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter:
-        """Filter at its prior."""
-        wing = self._airframe.wing
-        kalman = SeparatedBiasFilter(
-            self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep
-        )
-        kalman.take_noise(noise)
-        return kalman
 
     @property
     def newest_ns(self) -> int:
@@ -343,8 +345,10 @@ class WingTracker:
     @property
     def distrust(self) -> Reject | None:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
-        if not self._body_rates or not self._activity.learned:
+        if not self._body_rates:
             return Reject.NOT_SETTLED
+        if (unlearned := self._activity.reject) is not None:
+            return unlearned
         blinded = any(stream.clipping.blinds for stream in self._live_streams)
         return Reject.SATURATED if blinded else DISTRUST.get(self._validity)
 
@@ -353,16 +357,12 @@ class WingTracker:
         """Mean normalised innovation squared of a row over the last second: 1 where the model is right."""
         return self._kalman.nis
 
-    def _refusal(self) -> Reject | None:
-        """Reason why there is no estimate at all."""
-        if not self._body_rates:
-            return Reject.NOT_SETTLED
-        return {Validity.SATURATED: Reject.SATURATED, Validity.STALE: Reject.STALE}.get(self._validity)
-
     def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
         """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""
-        if (refusal := self._refusal()) is not None:
-            return refusal
+        if not self._body_rates:
+            return Reject.NOT_SETTLED
+        if self._validity in (Validity.SATURATED, Validity.STALE):
+            return Reject.SATURATED if self._validity is Validity.SATURATED else Reject.STALE
         return self._forecaster.run(self._kalman, self._next_ns, self._body_rates.newest_radps, horizon_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:

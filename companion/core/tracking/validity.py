@@ -23,6 +23,7 @@ _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be an
 # chosen, of the slow deflection by gusts as fitted: a state that a lost line drove to ten stays there, for vertical
 # axes contradict no slow load that holds it
 _MOST_SIGMAS = 6.0
+_MOST_REFUSED = 20  # chosen, of fits in a row, once a second: none of their history is that of the last that was taken
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 DISTRUST = {
     Validity.STALE: Reject.STALE,
@@ -43,13 +44,17 @@ class ModalActivity:
     settled_s : float
         Time since the tracker began, or since it was last without sensors.
     learned : bool
-        The parameters have been learned, once.
+        The parameters have been learned, once: fits were taken, or nobody adapts them.
+    adapts : bool
+        Spectral fits are made.
+    fitted : bool
+        One was taken.
     deflection_sigmas : float
         Mean deflection of a family's first mode from its static bend over the last second, over the deflection's sigma
         in the gusts as fitted; the larger one. A vibration, however strong, has no mean.
     """
 
-    def __init__(self, layout: StateLayout) -> None:
+    def __init__(self, layout: StateLayout, *, adapts: bool) -> None:
         self._rate_states = np.array([family.v for family in layout.families])
         self._deflections = np.array([family.q for family in layout.families])
         self._deflection_sigma_m: Floats = np.ones(2)
@@ -62,7 +67,9 @@ class ModalActivity:
         self._rms: Floats = np.zeros(2)
         self._recent: Floats = np.zeros(2)  # mean square
         self.settled_s = 0.0
-        self.learned = False
+        self.learned = self.fitted = False
+        self.adapts = adapts
+        self._refused = 0  # fits in a row
 
     def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
@@ -84,13 +91,30 @@ class ModalActivity:
         self._sum = self._sum + squares / self._stiffness
         self._count += taken
         self.settled_s += count * step_s
-        self.learned |= self.settled_s >= EARLY_S
+        self.learned |= self.settled_s >= EARLY_S and (self.fitted or not self.adapts)
         if not self._blocks:
             self._rms = np.sqrt(self._sum / self._count)
         if self._count * step_s >= _BLOCK_S:
             self._blocks.append(self._sum / self._count)
             self._sum, self._count = np.zeros(2), 0
             self._rms = np.sqrt(np.median(self._blocks, axis=0))
+
+    def note_fit(self, *, taken: bool) -> bool:
+        """Count a spectral fit that was taken or refused; True for the first that was taken."""
+        first = taken and not self.fitted
+        self.fitted |= taken
+        self._refused = 0 if taken else self._refused + 1
+        return first
+
+    @property
+    def reject(self) -> Reject | None:
+        """Reason why the parameters are not to be trusted: too new, never fitted, or always contradicted."""
+        overdue = not self.learned and self.settled_s >= EARLY_S
+        if self._refused >= _MOST_REFUSED or (overdue and self._refused):
+            return Reject.CONTRADICTED
+        if overdue:
+            return Reject.NOT_FITTED
+        return None if self.learned else Reject.NOT_SETTLED
 
     @property
     def settled(self) -> bool:
