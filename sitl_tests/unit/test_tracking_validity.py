@@ -123,6 +123,22 @@ def test_fits_that_are_all_refused_contradict_the_model() -> None:
     assert activity.reject is None
 
 
+@pytest.mark.parametrize(("drift_radps2", "level_radps", "trusted"), [(0.0, 0.01, True), (3e-4, 0.0, False)])
+def test_a_gyro_may_be_off_but_not_drift(drift_radps2: float, level_radps: float, trusted: bool) -> None:
+    """A large bias is learned and harmless; a drift is followed too late, and no innovation shows it."""
+    tracker, t, values = WingTracker(plain_airframe(), Settings()), *swinging(22.0, 0.004)
+    seconds = np.arange(len(t)) * 1e-3
+    values[Station.LEFT][:, 3] += level_radps + drift_radps2 * np.maximum(seconds - 12.0, 0.0)
+    for first in range(0, len(t), 40):
+        for station, v in values.items():
+            tracker.add(batch(station, t[first : first + 40], v[first : first + 40]))
+        tracker.process_until(EPOCH_NS + (first + 40) * MS)
+        if first == 12_000:
+            assert tracker.distrust is None
+    assert tracker.nis < 2.0
+    assert tracker.distrust is (None if trusted else Reject.CONTRADICTED)
+
+
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])
 def test_the_level_of_a_sine_is_its_amplitude_over_root_two(amplitude_m: float) -> None:
     tracker = WingTracker(plain_airframe(), Settings(adapt=0))

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
+from companion.core.tracking.bias_drift import BiasDrift
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel, stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
@@ -70,6 +71,7 @@ class ModalActivity:
         self.learned = self.fitted = False
         self.adapts = adapts
         self._refused = 0  # fits in a row
+        self._drift = BiasDrift(layout)
 
     def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
@@ -91,6 +93,8 @@ class ModalActivity:
         self._sum = self._sum + squares / self._stiffness
         self._count += taken
         self.settled_s += count * step_s
+        if self.settled_s >= EARLY_S:  # before, the noise that biases are judged by is still learned
+            self._drift.update(kalman)
         self.learned |= self.settled_s >= EARLY_S and (self.fitted or not self.adapts)
         if not self._blocks:
             self._rms = np.sqrt(self._sum / self._count)
@@ -108,9 +112,9 @@ class ModalActivity:
 
     @property
     def reject(self) -> Reject | None:
-        """Reason why the parameters are not to be trusted: too new, never fitted, or always contradicted."""
+        """Reason why what was learned is not to be trusted: too new, never fitted, always contradicted, or drifting."""
         overdue = not self.learned and self.settled_s >= EARLY_S
-        if self._refused >= _MOST_REFUSED or (overdue and self._refused):
+        if self._refused >= _MOST_REFUSED or (overdue and self._refused) or self._drift.too_fast:
             return Reject.CONTRADICTED
         if overdue:
             return Reject.NOT_FITTED
