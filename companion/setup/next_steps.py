@@ -47,7 +47,7 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
         ),
         NextStep(
             "both lenses and the rotation between them",
-            f"spanwise calibrate stereo --cameras {cameras} --square-m 0.3 --airframe {_AIRFRAME}",
+            f"spanwise calibrate stereo --cameras {cameras} --squares 7 5 --square-m 0.3 --airframe {_AIRFRAME}",
         ),
         NextStep(
             "slopes and twists, where a vibration test was made: modes with their spread",
