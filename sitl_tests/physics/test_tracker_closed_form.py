@@ -1,9 +1,9 @@
 """The tracker on motions in closed form, written out here without anything of ours: signs, rigid motion, phase, sigma.
 
 The wing moves as sums of sines; every sensor is sampled at 1 kHz from the formulas of the common physics: tip specific
-force ``f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')``, with a lateral ``2 p w' + p' w`` by the roll and
-``+-1.162 (w w'' + w'^2)`` by the bent wing's way inboard, turned about body x by +slope on the left and by -slope on
-the right.
+force ``f_root + omega' x r + omega x (omega x r) + (0, 0, p^2 w - w'')``, with a lateral ``2 p w' + p' w`` by the roll
+and ``+-1.162 (w w'' + w'^2)`` by the bent wing's way inboard, turned about body x by +slope on the left and by -slope
+on the right.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _streams(airframe: Airframe, motion: Motion, duration_s: float) -> dict[Stat
         lift, rate = qs + static + side * qa, vs + np.gradient(static, 1e-3) + side * va
         rise = as_ + side * aa + np.gradient(np.gradient(static, 1e-3), 1e-3)
         f[:, 1] += 2 * omega[:, 0] * rate + turn[:, 0] * lift - side * 1.16194 * (lift * rise + rate**2)
-        f[:, 2] -= rise
+        f[:, 2] += omega[:, 0] ** 2 * lift - rise
         slope = S * lift
         angle = -side * slope  # about +x
         c, s = np.cos(angle), np.sin(angle)
