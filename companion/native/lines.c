@@ -13,6 +13,7 @@
 #define K1 (2.0 * PHASE_RADPS)         /* derived, like the next two: Butterworth's polynomial */
 #define K2 (2.0 * PHASE_RADPS * PHASE_RADPS)
 #define K3 (PHASE_RADPS * PHASE_RADPS * PHASE_RADPS)
+#define CALM_RADPS (TWO_PI * 8.0) /* chosen: twice the loop's, and below the beats of the wing with a line */
 #define FLOOR 0.05       /* chosen, of the usual error squared: a line that is not yet seen turns nothing */
 #define MAX_TURN_RAD 0.5 /* chosen: of psi; a larger one is no small angle */
 #define MIN_PERIODS 0.1  /* chosen, of the lag: no difference is taken across a shorter gap */
@@ -28,14 +29,14 @@ typedef struct {
 } complex_number;
 
 typedef struct {
-    const array *anchor_radps, *omega_radps, *alpha_radps2, *phase_rad, *shaft, *multiple, *amplitude, *error, *weight;
+    const array *anchor_radps, *omega_radps, *alpha_radps2, *phase_rad, *ahead_rad, *shaft, *multiple, *amplitude, *error, *weight;
     int64_t lag;
 } lines_record;
 
 typedef struct {
     int64_t shafts, count, channels, lag;
     const double *anchor, *weight; /* of shafts, of channels */
-    double *omega, *alpha, *phase; /* of shafts */
+    double *omega, *alpha, *phase, *ahead; /* of shafts */
     const int64_t *shaft, *multiple; /* of lines */
     double *error;
     complex_number *amplitude; /* (count, channels) */
@@ -43,11 +44,13 @@ typedef struct {
     double *turning, *power; /* of shafts */
 } lines;
 
-/* Move phase, frequency and its rate of a shaft by a phase error of its leader. */
+/* Move phase, frequency and its rate of a shaft by a phase error of its leader, and how far the phase is ahead of a
+ * calmer one: the wing's motion in one channel would else come out in all that have the line. */
 static void turn(lines *l, int64_t i, double psi, double dt)
 {
     double part = psi / PARTS, limit = MAX_ALPHA_RADPS2 / PARTS;
     l->phase[i] += K1 * part * dt;
+    l->ahead[i] = (l->ahead[i] + K1 * part * dt) / (1.0 + CALM_RADPS * dt);
     l->omega[i] += K2 * part * dt;
     l->alpha[i] = least(most(l->alpha[i] + K3 * part * dt, -limit), limit);
     if (fabs(l->omega[i] / l->anchor[i] - 1.0) > OMEGA_RATIO) {
@@ -139,7 +142,8 @@ static void clean_sample(lines *l, const int64_t *t_ns, const double *values, in
     for (int64_t i = 0; i < (even ? l->shafts : 0); i++)
         turn(l, i, least(most(l->turning[i] / l->power[i], -MAX_TURN_RAD), MAX_TURN_RAD), dt);
     for (int64_t j = 0; j < l->count; j++) {
-        double phase = (double)l->multiple[j] * l->phase[l->shaft[j]], cosine = cos(phase), sine = sin(phase);
+        double calm = l->phase[l->shaft[j]] - l->ahead[l->shaft[j]], phase = (double)l->multiple[j] * calm;
+        double cosine = cos(phase), sine = sin(phase);
         for (int64_t c = 0; c < channels; c++) {
             const complex_number *a = &l->amplitude[j * channels + c];
             out[c] -= a->re * cosine - a->im * sine;
@@ -154,6 +158,7 @@ static bool read_lines(const lines_record *record, lines *l)
     l->omega = reals(record->omega_radps, 1, &good);
     l->alpha = reals(record->alpha_radps2, 1, &good);
     l->phase = reals(record->phase_rad, 1, &good);
+    l->ahead = reals(record->ahead_rad, 1, &good);
     l->shaft = integers(record->shaft, 1, &good);
     l->multiple = integers(record->multiple, 1, &good);
     l->amplitude = array_data(record->amplitude, 'D', 2, &good);
@@ -169,6 +174,7 @@ static bool read_lines(const lines_record *record, lines *l)
     for (int64_t j = 0; j < extent(record->shaft, 0); j++)
         good = good && l->shaft[j] >= 0 && l->shaft[j] < l->shafts;
     return good && extent(record->omega_radps, 0) == l->shafts && extent(record->alpha_radps2, 0) == l->shafts &&
+           extent(record->ahead_rad, 0) == l->shafts &&
            extent(record->phase_rad, 0) == l->shafts && extent(record->shaft, 0) == l->count &&
            extent(record->multiple, 0) == l->count && extent(record->error, 0) == l->channels &&
            extent(record->weight, 0) == l->channels;

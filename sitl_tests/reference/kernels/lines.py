@@ -11,6 +11,7 @@ _AMPLITUDE_RADPS = 2.0 * np.pi * 2.0  # chosen: settles in 0.25 s
 _SLOWER_BELOW_RADPS = 2.0 * np.pi * 45.0  # chosen: below, amplitudes follow slower, for the wing's sake
 _PHASE_RADPS = 2.0 * np.pi * 4.0  # chosen: rpm that jumps by a tenth within half a second stays in lock
 _K1, _K2, _K3 = 2.0 * _PHASE_RADPS, 2.0 * _PHASE_RADPS**2, _PHASE_RADPS**3  # derived: Butterworth's polynomial
+_CALM_RADPS = 2.0 * np.pi * 8.0  # chosen: twice the loop's, and below the beats of the wing with a line
 _FLOOR = 0.05  # chosen, of the usual error squared: a line that is not yet seen turns nothing
 _MAX_TURN_RAD = 0.5  # chosen: of psi; a larger one is no small angle
 _MIN_PERIODS, _MAX_PERIODS = 0.1, 2.5  # chosen, of the lag: no difference is taken across a shorter or longer gap
@@ -88,8 +89,9 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
                     states.amplitude[j, c] += slower * _AMPLITUDE_RADPS * dt * step
         for i in range(shafts if even else 0):
             _turn(states, i, min(max(turning[i] / power[i], -_MAX_TURN_RAD), _MAX_TURN_RAD), dt)
+        calm_rad = states.phase_rad - states.ahead_rad
         for j in range(lines):
-            here = np.exp(1j * states.multiple[j] * states.phase_rad[shaft[j]])
+            here = np.exp(1j * states.multiple[j] * calm_rad[shaft[j]])
             for c in range(channels):
                 out[k - first, c] -= (states.amplitude[j, c] * here).real
     return out
@@ -108,6 +110,7 @@ def _turn(states: LineStates, i: int, psi: float, dt: float) -> None:
     """Move phase, frequency and its rate of a shaft by a phase error of its leader."""
     unit_psi, limit = psi / PARTS, _MAX_ALPHA_RADPS2 / PARTS
     states.phase_rad[i] += _K1 * unit_psi * dt
+    states.ahead_rad[i] = (states.ahead_rad[i] + _K1 * unit_psi * dt) / (1.0 + _CALM_RADPS * dt)
     states.omega_radps[i] += _K2 * unit_psi * dt
     states.alpha_radps2[i] = min(max(states.alpha_radps2[i] + _K3 * unit_psi * dt, -limit), limit)
     if np.abs(states.omega_radps[i] / states.anchor_radps[i] - 1.0) > _OMEGA_RATIO:
