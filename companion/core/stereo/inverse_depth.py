@@ -25,6 +25,9 @@ _CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone (choice)
 _CENTRE_FRACTION = 0.2  # chosen: of the matches, nearest to the axis: few enough for one place, enough for a fit
 # a surface that is rough by less than a hundredth of its depth is one surface still (choice)
 _ROUGHNESS = 0.01
+_INNERMOST = (
+    5  # chosen: matches of the ground under the axis; of more some lie on the next roof, and ranges are withheld
+)
 _ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)
 
 
@@ -69,9 +72,9 @@ def robust_inverse_depth(
     the scatter that sloping ground under a field of view of 40 degrees would bring. ``CENTRE`` uses only the matches
     nearest to the axis. ``NEAREST`` is where the nearest group of matches that agree among themselves begins.
 
-    The ground fills the picture of a pair that looks down. Ahead there are ground and obstacles (``one_surface``
-    false): one plane through both is neither, so the plane is fitted to as many of the matches around the axis as lie
-    on one surface with those nearest to it.
+    One plane through ground and roofs, or through ground and obstacles, is neither, so the plane is fitted to as many
+    of the matches around the axis as lie on one surface with those nearest to it: with ``least`` of them ahead, where
+    anything may stand, with five where the ground fills the picture (``one_surface``).
     """
     inliers = consistent(depths)
     if inliers.size < least:
@@ -82,12 +85,10 @@ def robust_inverse_depth(
         return (
             _edge(depths, inliers, _solve(depths, inliers, np.ones((inliers.size, 1))), size) if inliers.size else None
         )
+    outward = _outward(depths, inliers)
     if product is RangeProduct.CENTRE:
-        count = max(_with_spare(least), round(_CENTRE_FRACTION * inliers.size))
-        inliers = _outward(depths, inliers)[:count]
-    elif not one_surface:
-        return _surface_on_axis(depths, _outward(depths, inliers), least)
-    return _plane(depths, inliers)
+        outward = outward[: max(_with_spare(least), round(_CENTRE_FRACTION * inliers.size))]
+    return _surface_on_axis(depths, outward, outward[: _INNERMOST if one_surface else least], least)
 
 
 def mean_inverse_depth(depths: Depths) -> InverseDepthEstimate | None:
@@ -129,12 +130,12 @@ def _plane(depths: Depths, inliers: Ints) -> InverseDepthEstimate:
     return _solve(depths, inliers, np.column_stack([np.ones(inliers.size), depths.tangent[inliers]]))
 
 
-def _surface_on_axis(depths: Depths, outward: Ints, least: int) -> InverseDepthEstimate:
-    """Plane through matches around the axis: all, or a half, a quarter ... of them, until the innermost lie on it.
+def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> InverseDepthEstimate:
+    """Plane through matches around the axis: all, or a half, a quarter ... of them, until the ``core`` lies on it.
 
-    Where some of the innermost do not, an edge is near, maybe on the axis: the sigma has what they depart by.
+    Where some of the core do not, an edge is near, maybe on the axis: the sigma has what they depart by.
     """
-    count, core, fewest = outward.size, outward[:least], min(_with_spare(least), outward.size)
+    count, fewest = outward.size, min(_with_spare(least), outward.size)
     while True:
         fitted = _plane(depths, outward[:count])
         departure_pm, allowed_pm = _departure(depths, core, fitted)
