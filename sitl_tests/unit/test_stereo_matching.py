@@ -79,6 +79,20 @@ def test_no_pixel_locking_whatever_the_fraction_of_a_pixel(rig: Rig) -> None:
     assert np.ptp(errors) < 0.4 * np.ptp(bilinear)
 
 
+def test_one_bright_thing_does_not_hide_faint_ground(rig: Rig, airframe: Airframe) -> None:
+    poses, rng = _poses(rig), np.random.default_rng(3)
+    plane = TexturedPlane.facing((0, 0, 1), 40.0, 800.0, seed=7)
+    clear = _pair(rig, poses, plane, noise=0.0)
+    faint = [100.0 + 0.13 * (image - image.mean()) + rng.standard_normal(image.shape) for image in clear]
+    counts = []
+    for glint in (0.0, 140.0):
+        faint[0][200:224, 300:324] += glint
+        images = [np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in faint]
+        counts.append(len(match(images[0], images[1], rig, trim_search(rig, airframe, SETTINGS))))
+    assert counts[0] > 60
+    assert counts[1] > 0.8 * counts[0]
+
+
 def _lucas_kanade(images: tuple[np.ndarray, np.ndarray], matches: Matches) -> Matches:
     """The same matches refined by OpenCV's bilinear tracker."""
     left = np.rint(matches.left_px).astype(np.float32)
