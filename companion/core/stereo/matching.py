@@ -19,8 +19,8 @@ from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
-# chosen, of the strongest response, which goes with contrast squared: at OpenCV's usual 0.01 a glint or a marker took the
-# place of all features of hazy ground
+# chosen, of the strongest response, which goes with contrast squared: at OpenCV's usual 0.01 a glint or a marker took
+# the place of all features of hazy ground
 _CORNER_QUALITY = 0.001
 _CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent (choice)
 BORDER_PX = HALF_WINDOW + 3
