@@ -15,7 +15,7 @@ from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5  # chosen: a filter's cut-off over the mode's frequency: nearer ones turn and damp it
-_GOOD_BOUND_NS = 1_000_000  # of a clock, above which a note is given (choice)
+_GOOD_BOUND_NS = 2_000_000  # of a clock, above which a note is given (choice)
 _ENOUGH = 0.75  # of the rate asked for: below, the stream does not come as set (choice)
 
 
