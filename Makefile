@@ -33,10 +33,10 @@ $(READY): $(wildcard $(NATIVE)/*.[ch]) setup.py $(STAMP)
 demo: $(READY)   ## fly the simulated aircraft and the service in lock-step and show the ranges
 	$(BIN)/spanwise demo --world fair
 
-test: $(READY)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
+test: $(READY)   ## the tests; those that start live processes come last, two or three side by side: they mostly wait
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not realtime and not long"
 	$(BIN)/python -m pytest -n 3 -m "realtime and not long" $(WAITING)
-	$(BIN)/python -m pytest -m "realtime and not long" $(REALTIME)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "realtime and not long" $(REALTIME)
 
 long: $(READY)   ## what takes minutes of processor time each: live demo, fault flights, blind trials, measured wings
 	$(BIN)/python -m pytest -m long

@@ -29,7 +29,7 @@ def test_a_knocked_camera_publishes_nothing_wrong_and_is_soon_trusted_again(airf
     assert outcome.trusted > 0.9 * outcome.judged > 50
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_knock_in_toe_alone_is_found_by_a_pair_that_looks_ahead() -> None:
     """A yaw of 1.2 mrad granted to what obstacles feign hid it: ranges of this flight were 3 m off, at 22 sigma."""
     outcome = fly("forward-2m", _BY_NAME["a camera knocked by 2 mrad of toe alone"], 2)
@@ -38,7 +38,7 @@ def test_a_knock_in_toe_alone_is_found_by_a_pair_that_looks_ahead() -> None:
     assert outcome.trusted > 0.9 * outcome.judged > 50
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [pytest.param("a fifth of the stamps 15 ms late", marks=pytest.mark.long), "a fifth of the left stamps 15 ms late"],

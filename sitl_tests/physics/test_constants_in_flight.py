@@ -35,6 +35,7 @@ def test_what_a_flight_teaches_of_its_constants_is_within_its_sigmas(number: int
     assert max(abs(value) for value in over.values()) < 4.0, over
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "sensors"), [pytest.param(A_FEW_CLIPPED, "vertical", marks=pytest.mark.long), (MANY_CLIPPED, "6-axis")]
 )

@@ -20,7 +20,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
     return run([[Trial("single", label) for label in labels]], 5, tmp_path_factory.mktemp("quick"), 20.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_twenty_seconds_are_enough_for_late_cameras_and_for_nothing(quick: list[dict[str, object]]) -> None:
     assert quick[0]["verdict"] == "adequate"
     assert quick[1]["verdict"] == "explained"

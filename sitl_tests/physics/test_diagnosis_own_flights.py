@@ -18,7 +18,7 @@ def diagnosed(folder: Path, *options: str) -> dict[str, Any]:
     return diagnosis
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", ["101", pytest.param("105", marks=pytest.mark.long)])
 def test_a_flight_with_nothing_hidden_is_adequate(tmp_path: Path, seed: str) -> None:
     assert diagnosed(tmp_path, "--seed", seed, "--duration", "40")["verdict"] == "adequate"

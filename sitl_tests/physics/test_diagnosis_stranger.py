@@ -54,7 +54,7 @@ def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: P
     assert inverse == pytest.approx(1.0 / 40.0 + 0.0414 / 1.98, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "flight",
     [pytest.param(Flight(62), marks=pytest.mark.long), Flight(63, rate_hz=800.0, decimals=3)],
@@ -100,7 +100,7 @@ def test_stamps_that_repeat_and_go_back_are_named_dropout_jitter(tmp_path: Path)
     assert diagnosis["causes"][0]["parameters"]["jitter_s"]["value"] == pytest.approx(0.001, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_torn_recording_is_diagnosed_like_a_whole_one(tmp_path: Path) -> None:
     diagnosis = diagnosed(tmp_path, Flight(62), torn)
     assert diagnosis["verdict"] == "adequate"

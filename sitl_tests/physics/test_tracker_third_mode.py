@@ -87,6 +87,7 @@ def test_a_third_mode_that_is_believed_in_makes_neither_deflection_nor_slope_wor
     assert with_third[1] <= without[1]
 
 
+@pytest.mark.long
 def test_the_error_with_three_modes_is_what_the_covariance_says() -> None:
     low, high = NEES_BOUNDS
     assert low < np.mean([flown(seed, 3).nees for seed in SEEDS]) < high

@@ -184,7 +184,7 @@ def test_a_constant_is_to_be_within_three_sigmas_in_nearly_every_flight() -> Non
         assert lines[1].endswith("missed") is expected
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_flow_that_suddenly_contradicts_withholds_ranges_and_the_rest_is_honest() -> None:
     """A fifth of the stamps 15 ms late: matches alone leave some unnoticed, of 2.3 squared sigmas together."""
     late = next(accident for accident in ACCIDENTS if accident.late_share)

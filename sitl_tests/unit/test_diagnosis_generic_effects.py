@@ -221,7 +221,7 @@ def test_a_filter_is_told_by_what_it_takes_from_either_side() -> None:
         assert min(gain_scores.values()) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_second_mode_named_torsion_is_seen_by_the_cameras_that_it_tilts() -> None:
     hidden = Hidden({"second-mode": 0.006}, extra={"second-mode.frequency_hz": 26.0, "loudness": 1.0})
     (tables,) = fly([hidden], 30.0, 79)

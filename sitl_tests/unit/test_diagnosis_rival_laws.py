@@ -168,7 +168,7 @@ def test_what_the_catalogue_lacks_gets_no_name(hidden: str, size: float) -> None
     assert diagnosed(4711, **{hidden: size}).verdict is DiagnosisVerdict.UNEXPLAINED
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hidden", "size"),
     [
@@ -193,7 +193,7 @@ def test_every_flight_has_a_leak_and_play_among_its_directions() -> None:
     assert {"left side showing the other side too", "range residual against play of the mounts"} <= names
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_name_s_own_law_is_no_test_of_it() -> None:
     model = flown(**{"coulomb-friction": 0.4})
     named = fit([model], (term_of("coulomb-friction", friction_mps2=0.3),))

@@ -80,7 +80,7 @@ def test_a_barometer_too_low_by_much_makes_the_slope_too_steep() -> None:
     assert slope.adjusted(-29.0, -300.0, 60.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("gusts", "sink_mps"), [pytest.param(False, 0.9, marks=pytest.mark.long), (True, 2.2)])
 def test_with_the_true_range_it_lands_by_the_point(gusts: bool, sink_mps: float) -> None:
     """The barometer is metres off; wheels meet the ground softly, wings level, near the runway's line."""

@@ -176,7 +176,7 @@ def test_a_blow_that_the_wing_answers_costs_no_trust(peak_mps2: float) -> None:
     following.fly(END_S).check()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [7, 8])
 def test_a_blow_that_no_gust_explains_leaves_the_modes_as_they_are_without_it(seed: int) -> None:
     def modes(peak_mps2: float) -> tuple[ModeEstimate, ModeEstimate]:
