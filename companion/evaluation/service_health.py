@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from companion.records import Health, ImuBatch, Notice, Reject, Rejected, ServiceStatus, Shot, Side
+from companion.records import OVERLOADED, Health, ImuBatch, Notice, Reject, Rejected, ServiceStatus, Shot, Side
 
 _END_S = 3.0  # a recorder that is stopped after the sensors writes on for so long: a flight's end, no fault (choice)
-_OVERLOAD = "this machine cannot keep up"  # how such a notice begins (convention: service/pace.py)
 _LOST_RATIO = 0.05  # convention: of the images, as the doctor warns; beyond, cameras or computer are too slow
 _MOSTLY = 0.9  # of the time after the first active status (choice)
 
@@ -33,7 +32,7 @@ class ServiceHealth:
         elif isinstance(record, ImuBatch) and record.t_ns.size:
             self.last_sample_ns = max(self.last_sample_ns, record.received_host_ns)
         elif isinstance(record, Notice):
-            self.overloads += record.text.startswith(_OVERLOAD)
+            self.overloads += record.text.startswith(OVERLOADED)
         elif isinstance(record, Shot):
             self.shots += 1
         elif isinstance(record, Rejected) and record.reason is Reject.FRAME_LOST:

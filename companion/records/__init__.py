@@ -22,7 +22,7 @@ from companion.records.inertial import (
     VehicleState,
 )
 from companion.records.ranging import CorrectedRange, NoRange, ObstacleSectors, RelativeRotation
-from companion.records.service import Notice, Rejected, ServiceStatus
+from companion.records.service import OVERLOADED, Notice, Rejected, ServiceStatus
 from companion.records.tracking import ClockState, Deflection, ModeEstimate, ModeState
 from companion.records.trigger import CameraFeedback, Shot, TriggerLatency, TriggerPlan
 from companion.records.vocabulary import (
@@ -72,9 +72,9 @@ OutputRecord = (
 Record = InputRecord | OutputRecord
 
 __all__ = [
-    "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback", "ClockName", "ClockRestart", "ClockState",
-    "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame", "FramePair", "Health", "ImuBatch",
-    "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange", "Notice", "ObstacleSectors",
+    "OVERLOADED", "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback", "ClockName", "ClockRestart",
+    "ClockState", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame", "FramePair", "Health",
+    "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange", "Notice", "ObstacleSectors",
     "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected", "RelativeRotation",
     "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency", "TriggerPlan",
     "Validity", "VehicleState",

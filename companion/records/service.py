@@ -17,6 +17,10 @@ class Rejected:
     count: int = 1
 
 
+OVERLOADED = "this machine cannot keep up"
+"""How the notice of an overload begins: what judges a recording knows it by this."""
+
+
 @dataclass(frozen=True, slots=True)
 class Notice:
     """A sentence for the operator; ``severity`` as in MAV_SEVERITY (3 error, 4 warning, 6 info)."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from companion.records import OVERLOADED
+
 WINDOW_NS = 2_000_000_000  # chosen: longer than any pause for collection or a neighbour's burst
 _LATE_NS = 20_000_000
 """Ticks are asked every 10 ms. Plans are made 40 ms apart and expire 10 ms after their instant: with ticks more than
@@ -28,7 +30,7 @@ class Overload:
     @property
     def sentence(self) -> str:
         """For the operator."""
-        return f"this machine cannot keep up: {self.text}" if self.text else f"this machine keeps up again: {self.who}"
+        return f"{OVERLOADED}: {self.text}" if self.text else f"this machine keeps up again: {self.who}"
 
 
 @dataclass(slots=True)

@@ -110,7 +110,9 @@ def test_a_full_temporary_folder_stops_no_service_that_keeps_its_parameters(
 
     monkeypatch.setattr(tempfile, "TemporaryDirectory", full)
     links = (f"udpin:127.0.0.1:{port}",)
-    Service(ServiceConfig(load_airframe("nadir-2m"), Settings(), links, parameters=tmp_path / "parameters")).stop()
+    service = Service(ServiceConfig(load_airframe("nadir-2m"), Settings(), links, parameters=tmp_path / "parameters"))
+    service.stop()
+    assert service._scratch is None
 
 
 @pytest.mark.realtime

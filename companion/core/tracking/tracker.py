@@ -362,7 +362,7 @@ class WingTracker:
         if not self._body_rates:
             return Reject.NOT_SETTLED
         if self._validity in (Validity.SATURATED, Validity.STALE):
-            return Reject.SATURATED if self._validity is Validity.SATURATED else Reject.STALE
+            return Reject[self._validity.name]
         return self._forecaster.run(self._kalman, self._next_ns, self._body_rates.newest_radps, horizon_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
