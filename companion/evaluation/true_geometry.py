@@ -97,10 +97,26 @@ class TrueGeometry:
         )
         return divergence(moving, (left_ray, right_ray)) - divergence(rest_exposures(self._belief))
 
+    def true_range_m(self, matches: MatchSet) -> float:
+        """Distance along the range axis to the first surface that it meets midway between the exposures; NaN for sky.
+
+        A range is that of a beam along the axis. The truth of a :class:`TrueReading` is that of the features which it
+        counts, and these may lie on another surface.
+        """
+        body = self.flight.truth.at(self._between_ns(matches))
+        sight = range_axis_of_rig(self._belief, self._axis)
+        origin_m = body.position_ned_m + body.body_from_ned.T @ sight.origin_m
+        reach_m = float(self.pair.scene.hit(origin_m, (body.body_from_ned.T @ sight.axis)[np.newaxis])[0])
+        return reach_m if np.isfinite(reach_m) else float("nan")
+
+    def _between_ns(self, matches: MatchSet) -> int:
+        """Instant midway between the exposures, since boot."""
+        left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
+        return (left_ns + right_ns) // 2
+
     def _velocity_mps(self, matches: MatchSet) -> Floats:
         """True velocity midway between the exposures, body axes: 10 ms apart it turns the baseline by 0.1 rad."""
-        left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
-        sample = self.flight.truth.at((left_ns + right_ns) // 2)
+        sample = self.flight.truth.at(self._between_ns(matches))
         return np.asarray(sample.body_from_ned @ sample.velocity_ned_mps)
 
     def true_deflection(self, t_host_ns: int) -> Deflection:
@@ -137,9 +153,9 @@ class TrueGeometry:
 
     def _true_inverse(self, matches: MatchSet) -> Floats:
         """Inverse depth along the range axis of what each left pixel really showed, (n,)."""
-        left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
+        left_ns = int(matches.mid_exposure_ns[Side.LEFT]) - self.start_host_ns
         points = self.pair.view(Side.LEFT, left_ns).points_ned_m(self.pair.scene, matches.left_px)
-        body = self.flight.truth.at((left_ns + right_ns) // 2)
+        body = self.flight.truth.at(self._between_ns(matches))
         sight = range_axis_of_rig(self._belief, self._axis)
         depth = ((points - body.position_ned_m) @ body.body_from_ned.T - sight.origin_m) @ sight.axis
         inverse: Floats = 1.0 / np.where(depth > 0, depth, np.nan)

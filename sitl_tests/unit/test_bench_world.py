@@ -22,7 +22,7 @@ from tools.bench.world_peers import pair_alone, tilt_filter, tips_on_grid
 from tools.bench.world_rows import ACCIDENTS, ON_GROUND, CampaignRow, rows
 from tools.trial_results import wilson
 
-COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted"]
+COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted", "axis_m"]
 PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]
 
 
@@ -36,8 +36,10 @@ def judged_flight(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
     )
 
 
-def shot(t_s: float, range_m: float = 60.0, toe: float = 0.0, trusted: float = 1.0) -> list[float]:
-    return [0.0, t_s, 0.0, toe, 1e-4, 60.0, range_m, 0.5, trusted]
+def shot(
+    t_s: float, range_m: float = 60.0, toe: float = 0.0, trusted: float = 1.0, axis_m: float = math.nan
+) -> list[float]:
+    return [0.0, t_s, 0.0, toe, 1e-4, 60.0, range_m, 0.5, trusted, axis_m]
 
 
 def test_wilsons_interval() -> None:
@@ -72,6 +74,14 @@ def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
     assert set(missed(group, figures)) == {"trusted", "NEES", "3 sigma", "wrong"}
 
 
+def test_a_range_of_the_right_features_can_miss_what_stands_on_the_axis() -> None:
+    judged = [shot(16.0, axis_m=60.4), shot(17.0, axis_m=50.0), shot(18.0, axis_m=50.0, trusted=0.0), shot(19.0)]
+    group = pooled(CampaignRow("fair", "nadir-2m", "6-axis"), [judged_flight(judged)])
+    assert summary(group)["axis"] == 1
+    assert summary(group)["wrong"] == 0
+    assert "axis" in missed(group, summary(group))
+
+
 def test_nothing_is_to_be_trusted_on_the_ground() -> None:
     row = CampaignRow("fair", "nadir-2m", "6-axis")
     group = pooled(row, [judged_flight([shot(5.0), shot(16.0), shot(31.0)], lift_off_s=10.0, touch_down_s=30.0)])
@@ -84,7 +94,7 @@ def test_trust_is_asked_for_from_fifteen_seconds_in_the_air_on_and_where_there_i
     row = CampaignRow("fair", "nadir-2m", "6-axis", ON_GROUND)
     early = [shot(11.0 + k, trusted=0.0) for k in range(14)]
     late = [shot(25.5 + k) for k in range(4)]
-    blank = [0.0, 29.8, 0.0, 0.0, 0.0, math.nan, 0.0, 120.0, 0.0]
+    blank = [0.0, 29.8, 0.0, 0.0, 0.0, math.nan, 0.0, 120.0, 0.0, math.nan]
     figures = summary(pooled(row, [judged_flight([*early, *late, blank], lift_off_s=10.0, touch_down_s=30.0)]))
     assert figures["shots"] == 4
     assert figures["trusted"] == 1.0

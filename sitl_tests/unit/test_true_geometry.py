@@ -14,7 +14,7 @@ from companion.records import ClockName, MatchSet, Side
 from companion.sim.flight.flight import build_flight
 from companion.sim.vision.posed_pair import PosedPair
 from companion.sim.vision.renderer import Renderer
-from companion.sim.vision.scene import ground_scene
+from companion.sim.vision.scene import Scene, ground_scene, terrace
 
 EXPOSED_S = np.linspace(1.0, 2.5, 16)
 MOUNTED_RAD = 0.005  # what drawn mountings, a tip's twist and rotation between both exposures may add
@@ -66,3 +66,26 @@ def test_the_toe_lies_in_the_plane_of_the_baseline_as_flown() -> None:
         toe_rad = judge.true_toe_rad(dataclasses.replace(_exposed(t_s), mid_exposure_ns=mids_ns))
         # what remains: mountings that the belief does not know, at rest, and a lift that changes between the exposures
         assert toe_rad == pytest.approx(angles[1] - angles[0], abs=5e-5)
+
+
+def test_the_true_range_ends_at_the_first_surface_on_the_axis() -> None:
+    """Along an axis tilted from the vertical, a roof is nearer than the ground by its height over the cosine."""
+    flight = build_flight(load_airframe("nadir-2m"), 1, 3.0)
+    bare = ground_scene(1)
+    north_m, east_m, _ = flight.truth.at(round(1e9 * EXPOSED_S[3])).position_ned_m
+    roofed = Scene((*bare.planes, terrace(north_m, east_m, (40.0, 40.0), 6.0, 7)), 1)
+    over, beside = EXPOSED_S[3], 2.9
+    ranges = {}
+    for scene in (bare, roofed):
+        pair = PosedPair(flight.real.actual, flight.truth, scene)
+        judge = TrueGeometry(flight, pair, Settings(), 0)
+        ranges[scene] = [judge.true_range_m(_exposed(t_s)) for t_s in (over, beside)]
+    cosine = flight.truth.at(round(1e9 * over)).body_from_ned[2, 2]
+    assert ranges[bare][0] - ranges[roofed][0] == pytest.approx(6.0 / cosine, rel=1e-9)
+    assert ranges[bare][1] == ranges[roofed][1]
+
+
+def test_an_axis_that_meets_nothing_has_no_true_range() -> None:
+    flight = build_flight(load_airframe("forward-2m"), 1, 3.0)
+    pair = PosedPair(flight.real.actual, flight.truth, Scene((), 1))
+    assert np.isnan(TrueGeometry(flight, pair, Settings(), 0).true_range_m(_exposed(1.0)))

@@ -142,7 +142,7 @@ def fly_task(task: CampaignTask) -> dict[str, Any]:
     return fly(task.row, task.number)
 
 
-_COLUMNS = ("pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted")
+_COLUMNS = ("pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted", "axis_m")
 
 
 def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: CorrectedRange) -> list[float]:
@@ -153,7 +153,7 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
     true_m = float("nan") if reading is None else 1.0 / reading.true_inverse_pm
     toe = geometry.true_toe_rad(matches)
     return [entry.pair_id, t_ns / _S, toe, entry.toe_rad, entry.toe_sigma_rad, true_m, entry.range_m,
-            entry.sigma_m, float(entry.trusted)]  # fmt: skip
+            entry.sigma_m, float(entry.trusted), geometry.true_range_m(matches)]  # fmt: skip
 
 
 def _driven(flight: Flight, inputs: list[Record], lands_ns: int) -> tuple[PipelineOutputs, dict[str, list[float]]]:
