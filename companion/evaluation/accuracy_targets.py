@@ -68,6 +68,16 @@ def sigma_calibration(shots: Shots, outputs: PipelineOutputs) -> dict[str, Any]:
     }
 
 
+def published_off_axis(geometry: TrueGeometry, outputs: PipelineOutputs) -> int:
+    """How many published ranges are off by more than 5 sigma and 5 % from the first surface on the range axis."""
+    count = 0
+    for entry in outputs.ranges.values():
+        if entry.trusted:
+            true_m = geometry.true_range_m(outputs.matches[entry.pair_id])
+            count += abs(entry.range_m - true_m) > max(5.0 * entry.sigma_m, 0.05 * true_m)  # false for open sky
+    return count
+
+
 def trigger_summary(
     geometry: TrueGeometry, outputs: PipelineOutputs, shots: Shots, blur: Mapping[str, Floats]
 ) -> dict[str, Any]:

@@ -18,7 +18,13 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.evaluation.accuracy_targets import sigma_calibration, targets, trigger_summary, wing_blur_px
+from companion.evaluation.accuracy_targets import (
+    published_off_axis,
+    sigma_calibration,
+    targets,
+    trigger_summary,
+    wing_blur_px,
+)
 from companion.evaluation.metrics import SETTLED_S, Scored, range_summary, toe_summary
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
 from companion.evaluation.replay import own_inputs
@@ -82,7 +88,7 @@ def evaluate_flight(
         "range_error_m": {name: range_summary(way) for name, way in ways.items()},
         "against_corrected": {name: paired(shots, other) for name, other in others.items()},
         "targets": targets(ways),
-        "sigma": sigma_calibration(shots, outputs),
+        "sigma": sigma_calibration(shots, outputs) | {"published_off_axis": published_off_axis(geometry, outputs)},
         "trigger": trigger_summary(geometry, outputs, shots, blur),
         "shots": _counts(outputs, shots) | {"settled": _settled(geometry, outputs)},
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},

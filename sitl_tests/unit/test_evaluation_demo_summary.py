@@ -46,7 +46,7 @@ def summary(ours: Shots, others: dict[str, Shots]) -> dict[str, Any]:
         "against_corrected": {name: paired(ours, other) for name, other in others.items()},
         "targets": {"share_of_error_removed": {"of_rigid": 1.0, "of_rigid_calibrated_in_trim": 1.0},
                     "fast_excess_mrad2": met, "oracle_median_at_60_m": met},
-        "sigma": {"slow_error_over_sigma_rms": 1.0, "published_beyond_5_sigma": 0},
+        "sigma": {"slow_error_over_sigma_rms": 1.0, "published_beyond_5_sigma": 0, "published_off_axis": 0},
         "trigger": {"aimed": {"shots": 0}, "blur_px": {}},
         "world": "ideal",
         "shots": {

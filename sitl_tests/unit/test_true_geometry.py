@@ -7,10 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from companion.evaluation.accuracy_targets import published_off_axis
+from companion.evaluation.shot_scores import PipelineOutputs
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, MatchSet, Side
+from companion.records import ClockName, CorrectedRange, MatchSet, Side
 from companion.sim.flight.flight import build_flight
 from companion.sim.vision.posed_pair import PosedPair
 from companion.sim.vision.renderer import Renderer
@@ -89,3 +91,22 @@ def test_an_axis_that_meets_nothing_has_no_true_range() -> None:
     flight = build_flight(load_airframe("forward-2m"), 1, 3.0)
     pair = PosedPair(flight.real.actual, flight.truth, Scene((), 1))
     assert np.isnan(TrueGeometry(flight, pair, Settings(), 0).true_range_m(_exposed(1.0)))
+
+
+def test_ranges_of_ground_beside_a_roof_on_the_axis_are_counted_as_off() -> None:
+    flight = build_flight(load_airframe("nadir-2m"), 1, 3.0)
+    north_m, east_m, _ = flight.truth.at(round(1e9 * EXPOSED_S[3])).position_ned_m
+    roof = terrace(north_m, east_m, (4.0, 4.0), 8.0, 7)
+    pair = PosedPair(flight.real.actual, flight.truth, Scene((*ground_scene(1).planes, roof), 1))
+    judge = TrueGeometry(flight, pair, Settings(), 0)
+    bare = TrueGeometry(flight, PosedPair(flight.real.actual, flight.truth, ground_scene(1)), Settings(), 0)
+    shots = {i: dataclasses.replace(_exposed(EXPOSED_S[3]), pair_id=i) for i in range(3)}
+    ground_m = bare.true_range_m(shots[0])
+    ranges = {
+        0: CorrectedRange(0, 0, 0, 0, ground_m, 0.1, 0.0, 1e-5, 0.0, 100, True, None),
+        1: CorrectedRange(1, 0, 0, 0, ground_m - 8.0, 0.1, 0.0, 1e-5, 0.0, 100, True, None),
+        2: CorrectedRange(2, 0, 0, 0, ground_m, 0.1, 0.0, 1e-5, 0.0, 100, False, None),
+    }
+    outputs = PipelineOutputs(ranges=ranges, matches=shots)
+    assert published_off_axis(judge, outputs) == 1
+    assert published_off_axis(bare, outputs) == 1

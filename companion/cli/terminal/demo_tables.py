@@ -105,7 +105,8 @@ def _accuracy_sentences(summary: dict[str, Any]) -> list[str]:
         f"{_met(excess['met'])}; oracle at 60 m {_number(oracle['value'], 3)} m, "
         f"limit {oracle['limit']} m: {_met(oracle['met'])}",
         f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms (one draw a flight); "
-        f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']}",
+        f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']} from the depth of their "
+        f"features, {summary['sigma']['published_off_axis']} (and 5 %) from the first surface on the range axis",
     ]
 
 
