@@ -1,23 +1,27 @@
 """``spanwise diagnose --apply``, closed: what was named is flown again, and ranges of a held-out minute are judged.
 
-    python -m tools.bench apply                     ten effects, some 40 s of processor each
-    python -m tools.bench apply --only accel-scale
+    python -m tools.bench apply                     ten effects, five flights each, some 40 s of processor a flight
+    python -m tools.bench apply --only accel-scale --flights 20
 
-For each effect two minutes are flown (truth drawn from the airframe's priors), each from 100 m down to 20 m: errors of
+For each flight two minutes are flown (truth drawn from the airframe's priors), each from 100 m down to 20 m: errors of
 baseline and focal length show only in how they change with the range. The first is diagnosed, the airframe extended by
 what was named and read back from its file. Held against the second minute, the extended airframe must be adequate;
 there the service's tracker then corrects ranges with three airframes: as believed, as extended, and as it truly is with
-the effect in force (the oracle). Range errors are without matching noise, as at 60 m, and the extended airframe's is to
-be the oracle's within 10 %. No matches hold the slow part of the toe here, as they do in flight: in brackets stands
-what is left about the mean.
+the effect in force (the oracle). Range errors are without matching noise, as at 60 m, rms over an effect's flights, and
+the extended airframe's is to be the oracle's within 10 %; behind it stands its standard error (jackknife over flights),
+for of one flight it is a draw of constants. No matches hold the slow part of the toe here, as they do in flight: in
+brackets stands what is left about each flight's mean.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
+import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +39,7 @@ from companion.evaluation.flight_models import models_of
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.params.settings import Settings
-from companion.records import Deflection, ImuBatch, Side, Tick
+from companion.records import Deflection, Floats, ImuBatch, Side, Tick
 from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, demo_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.tables import toe_rad, write_csv
@@ -60,8 +64,8 @@ _TICK_NS = 4_000_000
 
 
 @dataclass(frozen=True)
-class Row:
-    """One effect: what was named, whether that is adequate in the held-out minute, and errors of the toe there, rad.
+class HeldOut:
+    """One flight: what was named, whether that is adequate in the held-out minute, and errors of the toe there, rad.
 
     Each error is rms and about its mean: as believed, as applied, and the oracle's. ``m_per_rad`` makes ranges at 60 m.
     """
@@ -72,14 +76,40 @@ class Row:
     errors_rad: tuple[tuple[float, float], ...]
     m_per_rad: float
 
+
+@dataclass(frozen=True)
+class Row:
+    """One effect: its flights together."""
+
+    flights: tuple[HeldOut, ...]
+
+    @property
+    def errors_rad(self) -> Floats:
+        """Errors (believed, applied, oracle) x (rms, about each flight's mean), rms over flights, rad."""
+        return np.asarray(np.sqrt(np.mean(np.square([flight.errors_rad for flight in self.flights]), axis=0)))
+
     @property
     def excess(self) -> float:
         """Range error over the oracle's."""
-        _, applied, oracle = self.errors_rad
-        return applied[0] / oracle[0] - 1.0
+        _, applied, oracle = self.errors_rad[:, 0]
+        return float(applied / oracle - 1.0)
+
+    @property
+    def excess_sigma(self) -> float:
+        """Standard error of the excess by the jackknife over flights (Efron 1982, chapter 3); NaN for one flight."""
+        count = len(self.flights)
+        if count < 2:
+            return math.nan
+        without = [Row(self.flights[:k] + self.flights[k + 1 :]).excess for k in range(count)]
+        return math.sqrt(count - 1) * float(np.std(without))
+
+    @property
+    def good(self) -> bool:
+        """Whether every flight was adequate, and the error is within the wanted share of the oracle's."""
+        return all(flight.adequate for flight in self.flights) and self.excess < WANTED
 
 
-def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
+def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> HeldOut:
     """Fly, diagnose, apply, and hold it against the second minute."""
     hidden = (NamedEffect(name, EFFECTS[name]),)
     flight = build_flight(airframe, seed, 2.0 * _HALF_S, effects=hidden, plan=two_minutes())
@@ -94,7 +124,7 @@ def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
     oracle = dataclasses.replace(flight.real.actual, effects=hidden)
     errors = tuple(toe_error_rad(flight, second, entry) for entry in (airframe, applied, oracle))
     named = tuple(cause.term.effect.name for cause in diagnosis.causes)
-    return Row(name, named, adequate, errors, _AT_M**2 / Rig.from_airframe(airframe).baseline_m)
+    return HeldOut(name, named, adequate, errors, _AT_M**2 / Rig.from_airframe(airframe).baseline_m)
 
 
 def two_minutes() -> FlightPlan:
@@ -180,19 +210,22 @@ def tracked(folder: Path, airframe: Airframe) -> dict[int, Deflection]:
 
 
 def table(rows: list[Row]) -> str:
-    """A row for each effect."""
+    """A line for each effect."""
     lines = [
-        "| hidden | named from the first minute | second minute | believed | applied | oracle | over the oracle |",
+        "| hidden | named from the first minute | adequate after | believed | applied | oracle | over the oracle |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in rows:
-        named = ", ".join(row.named) or "nothing"
+        count = len(row.flights)
+        names = Counter(", ".join(flight.named) or "nothing" for flight in row.flights)
+        named = "; ".join(f"{name} {times}" for name, times in names.most_common())
         cells = " | ".join(
-            f"{row.m_per_rad * rms:.2f} m ({row.m_per_rad * about:.2f}), {1e3 * rms:.2f} mrad"
+            f"{row.flights[0].m_per_rad * rms:.2f} m ({row.flights[0].m_per_rad * about:.2f}), {1e3 * rms:.2f} mrad"
             for rms, about in row.errors_rad
         )
-        verdict = "adequate" if row.adequate else "not adequate"
-        lines.append(f"| {row.effect} | {named} | {verdict} | {cells} | {100.0 * row.excess:+.0f} % |")
+        adequate = sum(flight.adequate for flight in row.flights)
+        over = f"{100.0 * row.excess:+.0f} +- {100.0 * row.excess_sigma:.0f} %"
+        lines.append(f"| {row.flights[0].effect} | {named} | {adequate} of {count} | {cells} | {over} |")
     return "\n".join(lines)
 
 
@@ -200,15 +233,21 @@ def main(arguments: list[str] | None = None) -> int:
     """Judge every effect; 1 where one is not adequate afterwards or further than 10 % from the oracle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", choices=sorted(EFFECTS), default=list(EFFECTS), help="effects")
-    parser.add_argument("--seed", type=int, default=401)
+    parser.add_argument("--flights", type=int, default=5, help="of every effect")
+    parser.add_argument("--seed", type=int, default=401, help="of the first effect's first flight")
     options = parser.parse_args(arguments)
     airframe, rows, begun = load_airframe("nadir-2m"), [], time.process_time()
-    for k, name in enumerate(options.only):
-        with tempfile.TemporaryDirectory() as folder:
-            rows.append(judged(name, airframe, options.seed + k, Path(folder)))
-        print(table(rows[-1:]).splitlines()[-1], flush=True)
-    good = sum(row.adequate and row.excess < WANTED for row in rows)
-    print("\n" + table(rows))
+    for name in options.only:
+        first = options.seed + list(EFFECTS).index(name)
+        flights = []
+        for k in range(options.flights):
+            with tempfile.TemporaryDirectory() as folder:
+                flights.append(judged(name, airframe, first + k * len(EFFECTS), Path(folder)))
+        rows.append(Row(tuple(flights)))
+        print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
+    good = sum(row.good for row in rows)
+    spent_s = (time.process_time() - begun) / (len(rows) * options.flights)
+    print(table(rows))
     print(f"\n{good} of {len(rows)} adequate and within {100 * WANTED:.0f} % of the oracle, wanted all")
-    print(f"{(time.process_time() - begun) / len(rows):.0f} s of processor time each")
+    print(f"{spent_s:.0f} s of processor time a flight")
     return 0 if good == len(rows) else 1
