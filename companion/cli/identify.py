@@ -39,10 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     flight.add_argument(
         "--band", type=number(0.0, 1e5, "Hz"), nargs=2, default=(2.0, 40.0), metavar="HZ", help="where modes are sought"
     )
-    for kind in (gvt, flight):
+    for kind, name in ((gvt, "gvt"), (flight, "flight")):
         default = _DRAFT if kind is gvt else "the recording's own"
         kind.add_argument("--airframe", metavar="NAME", help=f"what the modes are written into (default: {default})")
-        kind.add_argument("--out", type=Path, default=Path("out/identify"), metavar="FOLDER", help="where to write")
+        folder = Path("out/identify", name)
+        kind.add_argument("--out", type=Path, default=folder, metavar="FOLDER", help="where to write")
 
 
 def execute(options: argparse.Namespace) -> int:

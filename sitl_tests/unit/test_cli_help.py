@@ -48,7 +48,8 @@ def test_help_lists_every_effect_with_its_unit(command: str, capsys: pytest.Capt
     ("command", "defaults"),
     [
         (("calibrate", "stereo"), ("out/calibrate", "10 7", "20", "600")),
-        (("identify", "flight"), ("out/identify", "2 40")),
+        (("identify", "flight"), ("out/identify/flight", "2 40")),
+        (("identify", "gvt"), ("out/identify/gvt",)),
         (("setup", "wing"), ("out/wing", "10", "300")),
         (("simulate",), ("nadir-2m", "60")),
     ],
