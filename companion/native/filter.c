@@ -171,8 +171,10 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
     const double *K = f->shortening_pm + side * f->ranks * f->ranks;
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
+    double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
     double across = p_dot - f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
-    double rates[MAX_RANKS], by_rates[MAX_RANKS], step_s = f->constants->step_s, linear = 0.0;
+    double rates[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
+    double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0;
     double first = find_lift_rates(f, k, side, rates);
     double inside = -step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
     bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
@@ -180,6 +182,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     for (int64_t a = 0; a < f->ranks; a++) {
         double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, of_first = measured ? K[a * f->ranks] : 0.0;
         double by_moment = of_first * inside;
+        /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
+        double mean_lift = lift + quarter * (a ? expected[a * EACH_RANK] : first - 2.0 * inside / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
             double shortening = measured ? K[a * f->ranks + b] : 0.0;
             by_lift += shortening * (b ? expected[b * EACH_RANK] : first);
@@ -189,12 +193,13 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
             tip.per_acceleration[b] -= b ? (shortening - of_first) * lift : 0.0;
         }
         by_rates[a] = by_rate;
+        by_lifts[a] = by_lift;
         tip.per_lift[a] = across - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += (1.0 - of_first * f->lever_m[side]) * lift; /* it lifts the tip as well */
         tip.per_measured -= of_first * lift;
-        tip.inboard -= by_lift * lift + (by_rate + by_moment) * rates[a];
+        tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
@@ -203,13 +208,17 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     /* half a step of each is in its rate, and with its sign turned in the first rank's */
     for (int64_t b = 0; b < f->ranks; b++) {
         tip.per_acceleration[b] += step_s * (measured ? by_rates[0] - by_rates[b] : p);
-        linear += tip.per_acceleration[b] * expected[b * EACH_RANK];
         tip.variance += squared(tip.per_acceleration[b]) * f->lift_acceleration_variance[b];
+        tip.per_acceleration[b] += 2.0 * quarter * (by_lifts[0] - by_lifts[b]); /* expected: a blow has more */
+        linear += tip.per_acceleration[b] * expected[b * EACH_RANK];
     }
+    /* the measured acceleration has what the tilt shows of all this */
+    tip.inboard -= tip.per_measured * sign * slope * (tip.force + tip.inboard);
     tip.force += tip.inboard;
     /* the row is the arc tangent of all lateral force over the vertical one */
     double read = f->rows[k * ROWS + Y_LEFT + side], gain = f->lateral_gain[2 * k + side];
-    double lean = tan(read) - gain * tip.force;
+    double all = tip.force + sign * f->lateral_mps2[2 * k + side]; /* by 1 / cos(slope), once it is turned */
+    double lean = tan(read) - gain * (tip.force + 0.5 * all * squared(slope));
     tip.gain = gain / (1.0 + squared(lean));
     tip.lean = f->linearised[SLOPES + side] + gain * tip.force;
     tip.rest = atan(lean) - read + tip.gain * linear;
@@ -264,6 +273,8 @@ static void linearise_rows(run *f, int64_t k)
             if (bias >= 0)
                 f->H[r * n + bias] = f->lateral_gain[2 * k + side];
             add_moving_tip(f, side, f->H + r * n);
+            if (f->vertical_bias_state[side] >= 0) /* the measured acceleration has it */
+                f->H[r * n + f->vertical_bias_state[side]] += f->tip[side].gain * f->tip[side].per_measured;
         }
         if (r >= 0 && f->constants->common_bias_column) /* the slope seen is lateral over vertical force */
             for (int tip = 0; tip < 2; tip++)
@@ -312,6 +323,19 @@ static void regress_on_prediction(run *f, double *out)
     }
 }
 
+/* Add to a slope row's sensitivity (width,) what errors of the measured acceleration do to the moving tip's force, and
+ * the vertical scale to that force over the vertical one, of which the Jacobian has the lateral force whole. */
+static void add_acceleration_errors(const run *f, int64_t k, int side, double *out)
+{
+    const moving_tip *tip = &f->tip[side];
+    int64_t parameters = f->h.width - 1;
+    const double *sensitivity = f->row_sensitivity + (k * ROWS + Z_LEFT + side) * parameters;
+    add_scaled(out + 1, sensitivity, -tip->gain * tip->per_measured, parameters);
+    for (int64_t j = 0; j < f->regressors; j++)
+        if (f->regressor_rows[j] == Z_LEFT + side)
+            out[f->regressor_columns[j]] -= tip->gain * tip->force;
+}
+
 /* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
 static void find_innovation(run *f, int64_t k, double *out)
 {
@@ -340,6 +364,7 @@ static void find_innovation(run *f, int64_t k, double *out)
                 out[r * width + f->constants->shortening_column] -= f->tip[side].gain * f->tip[side].inboard;
             if (f->constants->common_bias_column)
                 out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
+            add_acceleration_errors(f, k, side, out + r * width);
         }
     }
     for (int64_t j = 0; j < f->slope_factors; j++) {

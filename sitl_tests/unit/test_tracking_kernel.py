@@ -10,10 +10,10 @@ import pytest
 from companion.core.kernels import filter_loops as kernel_loops
 from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, History
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.model import build_model
+from companion.core.tracking.model import build_model, propagation
 from companion.core.tracking.parameters import ModeParameters, prior_parameters
 from companion.core.tracking.row_noise import RowNoise
-from companion.core.tracking.states import ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
+from companion.core.tracking.states import M_LEFT, ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Floats
@@ -146,7 +146,7 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     kalman = _filter(EXACT_SCALES)
     const, model, _, _ = _kernel_arguments(kalman)
     epochs = _epochs(kalman, 0.0)
-    epochs = epochs._replace(rows=np.zeros_like(epochs.rows))
+    epochs = epochs._replace(rows=np.zeros_like(epochs.rows), sensitivity=np.zeros_like(epochs.sensitivity))
     state = 0.002 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
     measured, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), np.zeros((ROWS, kalman.layout.size + 1))
     kernel_numpy._linearise(const, model, epochs, 5, state, measured, H)
@@ -155,13 +155,15 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     weight = np.array([sensor.accel_bias_sigma_mps2**-2 for sensor in sensors])
     common = weight @ (left, right, root) / weight.sum()
     for side, bias in enumerate((left, right)):
-        lean = kernel_numpy._moving_tip(const, model, epochs, 5, side, state).lean  # by tilt and by the tip's motion
+        tip = kernel_numpy._moving_tip(const, model, epochs, 5, side, state)
+        lean = tip.lean  # by tilt and by the tip's motion
         z = epochs.vertical_mps2[5, side]
         assert abs(lean) > 1e-3
         tilted = np.arctan(z * np.tan(lean) / (z + bias)) - lean
         row = Y_LEFT + side
         result = H[row, const.vertical_bias_state] @ (left - root, right - root)
         result -= measured[row, kalman.layout.column("bz")] * common  # prediction less reading
+        result -= tip.by_acceleration * (bias - root)  # by the way inboard, whose acceleration is measured too
         assert result == pytest.approx(tilted, rel=3e-3)
 
 
@@ -192,6 +194,65 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
         assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
+
+
+LATERAL_MPS2, GRAVITY_MPS2, FINE = 0.5, 9.80665, 64
+
+
+def _swinging(kalman: SeparatedBiasFilter, state: Floats, side: int, scale: float) -> Epochs:
+    """An epoch as exact sensors have it at a tip that swings freely; its vertical one reads too much by a scale."""
+    const, layout = kalman._constants, kalman.layout
+    fine, _ = propagation(layout, kalman.noise, kalman.model.parameters, STEP_S / FINE)
+    path = [state[:-1]]
+    for _ in range(FINE):
+        path.append(fine @ path[-1])
+    w, rate = np.array(path)[:, [layout.symmetric.q, layout.symmetric.q + 1]].T
+    slope = kalman.model.slope[side, layout.symmetric.q] * 0.5 * (w[1:] + w[:-1])
+    K, sign, step_s = const.shortening_pm[side, 0, 0], 1.0 - 2.0 * side, STEP_S / FINE
+    across = LATERAL_MPS2 - K * np.diff(w * rate) / step_s
+    up = -GRAVITY_MPS2 - np.diff(rate) / step_s
+    y = across * np.cos(slope) + sign * up * np.sin(slope)
+    z = (1.0 + scale) * (up * np.cos(slope) - sign * across * np.sin(slope))
+    moment = ((np.arange(FINE) + 0.5) / FINE - 0.5) @ z / FINE
+    gain, lateral = sign / z.mean(), y.mean() - LATERAL_MPS2
+    epochs = _epochs(kalman, 0.0)
+    empty = {
+        name: np.zeros_like(getattr(epochs, name))
+        for name in ("rows", "vertical_mps2", "lateral_mps2", "slope_rate_gain", "lateral_gain", "sensitivity")
+    }
+    epochs = epochs._replace(**empty)
+    epochs.rows[0, [Z_LEFT + side, M_LEFT + side]] = z.mean() + GRAVITY_MPS2, moment
+    epochs.rows[0, Y_LEFT + side] = np.arctan(lateral * gain)
+    epochs.vertical_mps2[0, side], epochs.lateral_mps2[0, side] = z.mean(), sign * LATERAL_MPS2
+    epochs.lateral_gain[0, side] = gain
+    epochs.slope_rate_gain[0, side] = moment * STEP_S * abs(gain)
+    column = kalman.layout.bias_parameters.index(f"{('left', 'right')[side]}.kz")
+    epochs.sensitivity[0, [Z_LEFT + side, Y_LEFT + side], column] = z.mean(), -lateral * gain
+    return epochs
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize(("lift_m", "rate_mps"), [(0.03, 0.0), (0.03, 0.3), (-0.03, 0.2), (0.0, 0.9)])
+def test_a_wing_that_swings_far_shows_the_slope_row_what_it_expects(lift_m: float, rate_mps: float, side: int) -> None:
+    """Beside 1 m/s^2 by the way inboard 3e-4 is left at most; a wrong vertical scale does what its derivative says."""
+    kalman = _filter()
+    layout, (const, model, _, _) = kalman.layout, _kernel_arguments(kalman)
+    column = 1 + layout.bias_parameters.index(f"{('left', 'right')[side]}.kz")
+    state, row, scale = np.zeros(layout.size + 1), Y_LEFT + side, 0.002
+    state[[layout.symmetric.q, layout.symmetric.q + 1]] = lift_m, rate_mps
+
+    def innovation(scale: float) -> tuple[float, float]:
+        """Lateral force that the row shows beyond its prediction, and its derivative by the scale."""
+        epochs = _swinging(kalman, state, side, scale)
+        residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
+        residual[:, 0], residual[:, 1:] = epochs.rows[0], -epochs.sensitivity[0]
+        kernel_numpy._linearise(const, model, epochs, 0, state, residual, H)
+        force_mps2 = abs(float(epochs.vertical_mps2[0, side]))
+        return float(residual[row, 0] - H[row] @ state) * force_mps2, float(residual[row, column]) * force_mps2
+
+    exact, by_scale = innovation(0.0)
+    assert abs(exact) < 3e-4
+    assert (innovation(scale)[0] - exact) / scale == pytest.approx(-by_scale, abs=0.08)
 
 
 def test_what_a_shaken_tip_cannot_tell_is_estimated_again_when_it_is_still() -> None:

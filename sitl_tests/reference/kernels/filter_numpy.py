@@ -236,6 +236,10 @@ def _linearise(
         if const.shortening_column:
             residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard
         H[Y_LEFT + side] += tip.row
+        if (bias := int(const.vertical_bias_state[side])) >= 0:
+            H[Y_LEFT + side, bias] += tip.by_acceleration
+        residual_columns[Y_LEFT + side, 1:] -= tip.by_acceleration * epochs.sensitivity[k, Z_LEFT + side]
+        residual_columns[Y_LEFT + side, const.regressor_columns[const.regressor_rows == Z_LEFT + side]] -= tip.by_force
     for side in (0, 1) if const.common_bias_column else ():
         if epochs.present[k, Y_LEFT + side]:
             # the slope seen is lateral over vertical force
@@ -278,6 +282,8 @@ class _MovingTip(NamedTuple):
     per_measured: float
     lean: float
     expected_mps2: float
+    by_acceleration: float
+    by_force: float
 
 
 def _moving_tip(
@@ -305,27 +311,37 @@ def _moving_tip(
     rate = rate + 0.5 * const.step_s * accel
     rate[0] -= inside_mps
     inside = inside_mps * K[:, 0]
-    along = lift @ K @ accel + rate @ K @ rate + rate @ inside
+    quarter_s2 = 0.25 * const.step_s**2
+    mean_lift = lift + quarter_s2 * accel
+    mean_lift[0] -= 0.5 * const.step_s * inside_mps
+    by_lift = K @ accel
+    along = mean_lift @ K @ accel + rate @ K @ rate + rate @ inside
+    sign, per_measured = 1.0 - 2.0 * side, -float(lift @ K[:, 0])
+    along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
     by_rate = K @ rate
     half_a_step = by_rate[0] - by_rate if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
     per_accel = const.step_s * half_a_step - lift @ (K - K[:, :1])
+    variance = float(per_accel**2 @ model.lift_acceleration_variance)
+    per_accel = per_accel + 2.0 * quarter_s2 * (by_lift[0] - by_lift)
     row = (turning - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + per_accel @ accel_rows + 2.0 * rate.sum() * p_row
     row = row + lift @ (1.0 - K[:, 0] * float(const.lever_m[side])) * a_row  # the roll lifts the tip as well
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
-    lean = math.tan(read) - gain * force
+    turned = 0.5 * slope**2 * (force + sign * float(epochs.lateral_mps2[k, side]))
+    lean = math.tan(read) - gain * (force + turned)
     predicted = slope + gain * force
     gain /= 1.0 + lean**2
-    variance = float(per_accel**2 @ model.lift_acceleration_variance)
     return _MovingTip(
         gain * row,
         math.atan(lean) - read + gain * float(row @ state),
         -gain * along,
         variance,
-        -float(lift @ K[:, 0]),
+        per_measured,
         predicted,
         expected,
+        gain * per_measured,
+        gain * force,
     )
 
 
