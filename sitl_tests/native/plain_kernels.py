@@ -21,7 +21,7 @@ from companion.core.clock import clock_map, sync_set
 from companion.core.tracking import (
     estimates,
     filter,
-    line_search,
+    line_peaks,
     prediction,
     rigid_body,
     row_noise,
@@ -113,7 +113,7 @@ PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "stream_append": [(streams, "_appended", plain_streams.appended)],
     "stream_all_valid": [(streams, "_valid", _valid)],
     "stream_outliers": [(streams, "find_outliers", plain_outliers.find_outliers)],
-    "lines_envelope": [(line_search, "squared_envelope", plain_lines.squared_envelope)],
+    "lines_envelope": [(line_peaks, "squared_envelope", plain_lines.squared_envelope)],
     "lines_remove": [(streams, "remove_lines", _remove_lines)],
     "epochs_build": [(rigid_body, "build_epochs", plain_rigid_body.build_epochs)],
     "whittle_expected": [(whittle, "expected_power", plain_whittle.expected_power)],

@@ -11,8 +11,8 @@ from companion.core.tracking.adaptation import whittle
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
 from companion.core.tracking.adaptation.whittle import LogNormalPrior
 from companion.core.tracking.estimates import oscillation
+from companion.core.tracking.line_peaks import squared_envelope
 from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
-from companion.core.tracking.line_search import squared_envelope
 from companion.core.tracking.parameters import parameter_index
 from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
 from companion.core.tracking.row_noise import noise_terms

@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from companion.core.tracking.line_peaks import ChannelWindow, find_lines
 from companion.core.tracking.line_removal import PARTS, line_states, remove_lines
-from companion.core.tracking.line_search import (
-    ChannelWindow,
-    KnownLines,
-    SampleRing,
-    channels_at,
-    find_lines,
-    turned_lines,
-)
+from companion.core.tracking.line_search import KnownLines, SampleRing, channels_at, turned_lines
 from companion.core.tracking.spread_work import SPREAD_S, Result, SpreadWork, Stages
 from companion.core.tracking.streams import SampleBuffer
 from companion.core.tracking.tracker import WingTracker
@@ -72,6 +66,41 @@ def test_a_line_whose_rpm_wanders_is_found() -> None:
     t_s = t_ns * 1e-9
     (frequency_hz,) = found_in(wing(t_s) + 0.5 * np.cos(wandering(t_s, 80.0, 0.3)), t_ns)
     assert frequency_hz == pytest.approx(80.0, abs=0.7)
+
+
+@pytest.mark.parametrize(("apart_hz", "second"), [(3.0, 1.0), (2.3, 0.5), (5.0, 0.2), (-4.0, 1.0)])
+def test_two_propellers_of_nearly_the_same_rpm_have_two_lines(apart_hz: float, second: float) -> None:
+    """In transforms of a quarter of a second they are one line that beats, as unsteady as noise."""
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    lines = np.cos(2.0 * np.pi * 83.1 * t_s) + second * np.cos(2.0 * np.pi * (83.1 + apart_hz) * t_s + 1.0)
+    assert sorted(found_in(wing(t_s) + lines, t_ns)) == pytest.approx(sorted([83.1, 83.1 + apart_hz]), abs=0.1)
+
+
+def test_engines_that_shake_a_wing_each_have_two_lines() -> None:
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    channels = [
+        channel
+        for f_hz in (83.1, 85.5)
+        for channel in channels_of(t_ns, samples(t_ns, wing(t_s) + np.cos(2.0 * np.pi * f_hz * t_s)))
+    ]
+    lines_hz = sorted(peak.frequency_hz for peak in completed(find_lines(channels)))
+    assert lines_hz == pytest.approx([83.1, 85.5], abs=0.1)
+
+
+def test_two_lines_that_beat_leave_the_samples() -> None:
+    """Two engines 3 Hz apart, from the search to the samples that the wing's model reads."""
+    t_ns = stamps(6.0)
+    t_s = t_ns * 1e-9
+    line = 1.5 * (np.cos(2.0 * np.pi * 83.0 * t_s) + np.cos(2.0 * np.pi * 86.0 * t_s + 1.0))
+    dirty = samples(t_ns, wing(t_s) + line)
+    shafts = KnownLines()
+    completed(shafts._search(channels_of(t_ns[:2500], dirty[:2500]), {}))
+    leaders_hz = np.array(list(shafts.leader_hz.values()))
+    states = line_states(leaders_hz, list(shafts.multiples.values()), WEIGHT, RATE_HZ)
+    remainder = remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states) - samples(t_ns, wing(t_s))
+    assert np.std(remainder[2000:, 2]) < 0.1 * np.std(line)
 
 
 def test_a_wing_without_motors_has_no_line() -> None:

@@ -11,34 +11,37 @@ its phase, another line of the shaft stands at zero frequency, however rpm wande
 
 from __future__ import annotations
 
-import functools
-import itertools
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from companion.core.kernels.arrays import row_medians
+from companion.core.tracking.line_peaks import (
+    HIGHEST_RATIO,
+    LOWEST_HZ,
+    MAX_VARIATION,
+    MIN_RATIO,
+    NEAR_HZ,
+    NO_POWER,
+    SHORT_S,
+    ChannelWindow,
+    Peak,
+    by_station,
+    find_lines,
+    hann,
+)
 from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
 from companion.core.tracking.spread_work import Stages
-from companion.native.library import ARRAY, INTEGER, REAL, kernel
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
 _HELD_S = 3.0  # chosen: the window, and what was sent since its end
-NEAR_HZ = 3.0  # chosen: nearer peaks are one
 _SAME_RATIO = 0.1  # chosen: rpm changes by that much while a peak is smeared
 _ONE_HZ = 1.5  # chosen: two loops nearer than this follow one line
 MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
 SILENT_NS = 500_000_000  # chosen: searches come once a second, and streams arrive within a tenth of one
-_LOWEST_HZ = 45.0  # chosen: a shaft is first found above, for a notch below bends the phase of the second bending mode
-_HIGHEST_RATIO = 0.45  # chosen: of the sample rate
-_MIN_RATIO = 60.0  # derived: peak over median; noise exceeds it once in 2^60 bins
-_FLOOR_HZ = 25.0  # chosen: blocks that the median is taken over, wide beside a line
-_SHORT_S = 0.25  # chosen: of the envelope's transforms; a mode of 1 Hz width is half resolved
-_MAX_VARIATION = 0.2  # chosen: variance over squared mean of the squared envelope; 1 for noise, 0 for a line
 _MEMORY = 5  # chosen, searches: so long a line is followed that is no longer found
 _SMEARED = 3  # searches whose windows a peak's smear may come from: the window's two seconds (derived)
 MULTIPLES = (3, 4, 6, 8, 9, 16, 18, 20, 24, 30, 36, 48)
@@ -51,7 +54,6 @@ _MIN_TURNED_RATIO = 25.0  # derived: noise exceeds it once in 2^25 looks
 _TURNED_FLOOR_HZ = 20.0  # chosen: either side of a line, for the median
 _PHASE_S = 0.12  # chosen: of the transforms that give the leader's phase; its rate may change by 8 Hz in them
 _MIN_IN_ROW = 2  # chosen, searches in a row: a narrow band of noise rarely looks like a line twice
-_NO_POWER = 1e-30  # numerical: an axis that is not sent has no lines
 _CHANNELS = (1, 2, 3)  # lateral and vertical force, roll rate: what the tracker reads (convention)
 
 
@@ -92,48 +94,12 @@ class SampleRing:
         return (t_ns[last - count : last] - until_ns) * np.float64(1e-9), values[last - count : last]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ChannelWindow:
-    """Samples of one channel: instants (n,) against the end of the search, s; values (n,); and their rate."""
-
-    t_s: Floats
-    values: Floats
-    rate_hz: float
-
-    def swing(self) -> Floats:
-        """Values (n,) about their mean."""
-        return np.asarray(self.values - self.values.mean())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Peak:
-    """Line of one channel, over its surroundings."""
-
-    ratio: float
-    frequency_hz: float
-    channel: ChannelWindow
-
-
 def channels_at(rings: list[SampleRing], until_ns: int) -> list[ChannelWindow]:
     """Channels of the last seconds before an instant."""
     windows = [(ring.window(until_ns), ring.rate_hz) for ring in rings]
     return [
         ChannelWindow(window[0], window[1][:, k], rate_hz) for window, rate_hz in windows if window for k in _CHANNELS
     ]
-
-
-def find_lines(channels: list[ChannelWindow]) -> Stages[list[Peak]]:
-    """The strongest lines, the highest over its surroundings first; the highest of those at one frequency."""
-    peaks: list[Peak] = []
-    for _, station in _by_station(channels):
-        for channel in station:
-            peaks += _peaks(channel)
-        yield
-    highest: list[Peak] = []
-    for peak in sorted(peaks, key=lambda peak: -peak.ratio):
-        if not _near(peak.frequency_hz, [other.frequency_hz for other in highest]):
-            highest.append(peak)
-    return highest
 
 
 @dataclass
@@ -176,7 +142,7 @@ class _KnownShaft:
         """Take the ratios of the lines that this search has found, by multiple."""
         self.in_row = {multiple: self.in_row.get(multiple, 0) + 1 for multiple in ratios}
         for multiple, ratio in ratios.items():
-            if ratio > _MIN_RATIO or self.in_row[multiple] >= _MIN_IN_ROW:
+            if ratio > MIN_RATIO or self.in_row[multiple] >= _MIN_IN_ROW:
                 self.lines[multiple] = _MEMORY
         remaining = {m: searches if m in ratios else searches - 1 for m, searches in self.lines.items()}
         best = sorted(remaining, key=lambda m: -ratios.get(m, 0.0))[: _MAX_LINES - 1]
@@ -225,7 +191,7 @@ class KnownLines:
         for shaft in list(self._shafts):
             shaft.follow(*followed.get(shaft.number, (shaft.leader_hz, 0.0)))
             peaks = yield from self._look_again(shaft, peaks, channels)
-        peaks = [peak for peak in peaks if peak.frequency_hz >= _LOWEST_HZ]
+        peaks = [peak for peak in peaks if peak.frequency_hz >= LOWEST_HZ]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
             self._begin(peaks[0])
             peaks = yield from self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
@@ -276,12 +242,12 @@ def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int
     """
     t_s, phase_rad = _phase(leader)
     ratios: dict[int, float] = {}
-    for _, station in _by_station(channels):
+    for _, station in by_station(channels):
         together = list(station)
         rate_hz, turned_rad = together[0].rate_hz, np.interp(together[0].t_s, t_s, phase_rad)
         swings = np.stack([channel.swing() for channel in together])
         for multiple in MULTIPLES:
-            if _LOWEST_TURNED_HZ <= multiple * leader.frequency_hz / PARTS <= _HIGHEST_RATIO * rate_hz:
+            if _LOWEST_TURNED_HZ <= multiple * leader.frequency_hz / PARTS <= HIGHEST_RATIO * rate_hz:
                 turning = np.exp(-1j * multiple / PARTS * turned_rad)
                 ratio = _turned_ratio(swings * turning, rate_hz)
                 if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)):
@@ -291,17 +257,12 @@ def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int
     return ratios
 
 
-def _by_station(channels: list[ChannelWindow]) -> Iterator[tuple[int, Iterator[ChannelWindow]]]:
-    """Channels in groups that share their instants."""
-    return itertools.groupby(channels, key=lambda channel: id(channel.t_s))
-
-
 def _phase(leader: Peak) -> tuple[Floats, Floats]:
     """Instants (k,), s, and phase (k,) of the leader in its channel, rad, over a little more than the window."""
     channel, turning = leader.channel, 2.0 * np.pi * leader.frequency_hz
     length = round(_PHASE_S * channel.rate_hz)
     samples = channel.swing() * np.exp(-1j * turning * channel.t_s)
-    slow = np.convolve(samples, _hann(length), mode="valid")
+    slow = np.convolve(samples, hann(length), mode="valid")
     middle = channel.t_s[length // 2 : length // 2 + len(slow)]
     phase_rad = np.unwrap(np.angle(slow)) + turning * middle
     ends = middle[[0, -1]] + np.array([-1.0, 1.0]) * _PHASE_S
@@ -317,74 +278,16 @@ def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
     0 where no envelope there is steady.
     """
     n = turned.shape[1]
-    power = np.abs(np.fft.fft(_hann(n) * turned)) ** 2
+    power = np.abs(np.fft.fft(hann(n) * turned)) ** 2
     near, far = round(NEAR_HZ * n / rate_hz), round(_TURNED_FLOOR_HZ * n / rate_hz)
     floor = row_medians(np.concatenate([power[:, near:far], power[:, -far:-near]], axis=1))
-    high = np.flatnonzero(power[:, 0] > _MIN_TURNED_RATIO * np.maximum(floor, _NO_POWER))
+    high = np.flatnonzero(power[:, 0] > _MIN_TURNED_RATIO * np.maximum(floor, NO_POWER))
     return max((float(power[k, 0] / floor[k]) for k in high if _steady(turned[k], rate_hz)), default=0.0)
-
-
-@functools.lru_cache(maxsize=16)
-def _hann(n: int) -> Floats:
-    """Hann window, read-only."""
-    window = np.hanning(n)
-    window.flags.writeable = False
-    return window
-
-
-def _near(frequency_hz: float, others: list[float]) -> bool:
-    """Whether one of the others is the same line."""
-    return any(abs(frequency_hz - other) <= NEAR_HZ for other in others)
-
-
-def _peaks(channel: ChannelWindow) -> list[Peak]:
-    """Lines of one channel."""
-    samples, rate_hz = channel.swing(), channel.rate_hz
-    n, bin_hz = len(samples), rate_hz / len(samples)
-    power = np.abs(np.fft.rfft(_hann(n) * samples)) ** 2
-    last, near, width = int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz), round(_FLOOR_HZ / bin_hz)
-    first = int(_LOWEST_HZ / bin_hz) - width
-    blocks = power[first : first + (last - first) // width * width].reshape(-1, width)
-    floor = np.maximum(row_medians(blocks), _NO_POWER)
-    ratio = (blocks / floor[:, None]).ravel()
-    peaks = []
-    for k in (first + np.flatnonzero(ratio > _MIN_RATIO)).tolist():
-        if power[k] < power[k - near : k + near + 1].max():
-            continue
-        left, middle, right = np.log(power[k - 1 : k + 2])
-        frequency_hz = float((k + 0.5 * (left - right) / (left - 2.0 * middle + right)) * bin_hz)
-        mean, variance = squared_envelope(samples, channel.t_s, frequency_hz, round(_SHORT_S * rate_hz))
-        if variance < _MAX_VARIATION * mean**2:
-            peaks.append(Peak(float(ratio[k - first]), frequency_hz, channel))
-    return peaks
-
-
-_envelope = kernel("lines_envelope", ARRAY, ARRAY, REAL, ARRAY, INTEGER, ARRAY)
-
-
-def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: int) -> tuple[float, float]:
-    """Mean and variance of the squared envelope of a line, by windows of ``length`` that overlap by half.
-
-    Parameters
-    ----------
-    samples : (n,) float64
-        Swing of a channel.
-    t_s : (n,) float64
-        Their instants.
-    frequency_hz : float
-        Of the line.
-    length : int
-        Number of samples of a window.
-    """
-    out = np.empty(2)
-    _envelope(samples, t_s, frequency_hz, _hann(length), length // 2, out)
-    mean, variance = out.tolist()
-    return mean, variance
 
 
 def _steady(turned: npt.NDArray[np.complex128], rate_hz: float) -> bool:
     """Whether the envelope of samples at zero frequency varies little."""
-    length = round(_SHORT_S * rate_hz)
+    length = round(SHORT_S * rate_hz)
     short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
-    square = np.abs(short @ _hann(length)) ** 2
-    return bool(square.var() < _MAX_VARIATION * square.mean() ** 2)
+    square = np.abs(short @ hann(length)) ** 2
+    return bool(square.var() < MAX_VARIATION * square.mean() ** 2)

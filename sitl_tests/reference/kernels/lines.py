@@ -22,7 +22,7 @@ _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, ove
 
 
 def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: int) -> tuple[float, float]:
-    """Mean and variance of the squared envelope of a line: ``line_search.squared_envelope``."""
+    """Mean and variance of the squared envelope of a line: ``line_peaks.squared_envelope``."""
     turned = samples * np.exp(-2j * np.pi * frequency_hz * t_s)
     short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
     square = np.abs(short @ np.hanning(length)) ** 2
