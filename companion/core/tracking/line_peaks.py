@@ -155,7 +155,7 @@ def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: 
 
 @functools.lru_cache(maxsize=16)
 def hann(n: int) -> Floats:
-    """Hann window, read-only."""
+    """Hann window (n,), read-only."""
     window = np.hanning(n)
     window.flags.writeable = False
     return window
