@@ -29,6 +29,9 @@ _INNERMOST = (
     5  # chosen: matches of the ground under the axis; of more some lie on the next roof, and ranges are withheld
 )
 _ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)
+# numerical: directions in which the gap is measured; it comes out shorter by at most a hundredth of the field of view
+_DIRECTIONS = np.exp(2j * np.pi * np.arange(360) / 360)
+_ELLIPSE_AREA = 4.0 * np.pi  # of an evenly filled ellipse, over the root of its covariance's determinant (derived)
 
 
 class RangeProduct(enum.IntEnum):
@@ -133,7 +136,8 @@ def _plane(depths: Depths, inliers: Ints) -> InverseDepthEstimate:
 def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> InverseDepthEstimate:
     """Plane through matches around the axis: all, or a half, a quarter ... of them, until the ``core`` lies on it.
 
-    Where some of the core do not, an edge is near, maybe on the axis: the sigma has what they depart by.
+    Where some of the core do not, an edge is near, maybe on the axis: the sigma has what they depart by. Where all
+    matches lie to one side of the axis, it has how far the surface may tilt in between.
     """
     count, fewest = outward.size, min(_with_spare(least), outward.size)
     while True:
@@ -143,7 +147,8 @@ def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> I
             # one of them may be a wrong match, two are an edge
             second_pm = float(np.sort(np.abs(departure_pm))[-2])
             beside_pm = second_pm if second_pm > allowed_pm else 0.0
-            return dataclasses.replace(fitted, sigma_pm=float(np.hypot(fitted.sigma_pm, beside_pm)))
+            sigma_pm = float(np.linalg.norm([fitted.sigma_pm, beside_pm, _unseen_pm(depths, fitted)]))
+            return dataclasses.replace(fitted, sigma_pm=sigma_pm)
         count = max(count // 2, fewest)
 
 
@@ -184,12 +189,31 @@ def _edge(depths: Depths, inliers: Ints, middle: InverseDepthEstimate, size: int
     return InverseDepthEstimate(middle.inverse_pm + edge_pm, sigma_pm, middle.weights, middle.used)
 
 
+def _unseen_pm(depths: Depths, fitted: InverseDepthEstimate) -> float:
+    """Sigma of extrapolating a plane to the axis, 1/m: its tilt there is as unknown as that of any surface.
+
+    It grows with the distance of the axis from the convex hull of the matches that count. By their mean spacing the
+    axis may lie outside: so far apart the matches of a surface under the axis lie anyway.
+    """
+    counted = np.flatnonzero(fitted.weights)
+    tangent = depths.tangent[counted]
+    beyond = float(np.min(tangent @ np.stack([_DIRECTIONS.real, _DIRECTIONS.imag]), axis=0).max())
+    offset = tangent - tangent.mean(axis=0)
+    determinant = max(float(np.linalg.det(offset.T @ offset / counted.size)), 0.0)
+    spacing = float(np.sqrt(_ELLIPSE_AREA * np.sqrt(determinant) / counted.size))
+    return _tilt_pm(depths, counted) * max(beyond - spacing, 0.0)
+
+
+def _tilt_pm(depths: Depths, indices: Ints) -> float:
+    """Change of a surface's inverse depth per unit tangent, one sigma, where nothing tells its tilt, 1/m."""
+    return _TILT * max(float(np.median(np.abs(depths.inverse_pm[indices]))), 1e-4)
+
+
 def _solve(depths: Depths, inliers: Ints, design: Floats) -> InverseDepthEstimate:
     """Robust fit; its value on the axis as a linear functional of all matches."""
     value, sigma = depths.inverse_pm[inliers], depths.sigma_pm[inliers]
-    tilt_pm = _TILT * max(float(np.median(np.abs(value))), 1e-4)
     prior = np.zeros(design.shape[1])
-    prior[1:] = tilt_pm**-2
+    prior[1:] = _tilt_pm(depths, inliers) ** -2
     coefficients, weight, scale = _robust(design, value, sigma, prior)
     normal = (design * weight[:, np.newaxis]).T @ design + np.diag(prior)
     row = np.linalg.solve(normal, np.eye(len(prior))[0])
