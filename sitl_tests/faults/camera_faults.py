@@ -168,7 +168,7 @@ class StruckCameras(Cameras):
         depth = (points - sight.origin_m) @ sight.axis
         tangent = ((points - sight.origin_m) @ sight.across.T) / depth[:, np.newaxis]
         parallax = 1e-9 * np.cos(np.arange(len(points)))
-        depths = Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax)
+        depths = Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax, np.zeros(len(points)))
         down = self.flight.airframe.looks_down
         reading = robust_inverse_depth(depths, RangeProduct.MEDIAN, Settings().min_matches, one_surface=down)
         assert reading is not None

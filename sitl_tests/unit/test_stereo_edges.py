@@ -18,7 +18,7 @@ def _walls(seed: int, edge: float, wrong: int = 0) -> Depths:
     tangent = rng.uniform(-0.35, 0.35, (MATCHES, 2))
     inverse = np.where(tangent[:, 0] < edge, 1.0 / NEAR_M, 1.0 / FAR_M) + SIGMA_PM * rng.standard_normal(MATCHES)
     inverse[rng.choice(MATCHES, wrong, replace=False)] += 30.0 * SIGMA_PM * rng.standard_normal(wrong)
-    return Depths(inverse, np.full(MATCHES, SIGMA_PM), tangent, np.zeros(MATCHES))
+    return Depths(inverse, np.full(MATCHES, SIGMA_PM), tangent, np.zeros(MATCHES), np.zeros(MATCHES))
 
 
 def _ahead(depths: Depths) -> InverseDepthEstimate:
@@ -49,7 +49,7 @@ def _over_roofs(seed: int, roof: float, edge: float) -> InverseDepthEstimate | N
     tangent = rng.uniform(-0.35, 0.35, (MATCHES, 2))
     on_roof = (np.abs(tangent[:, 0] - edge + roof) < roof) & (np.abs(tangent[:, 1]) < roof)
     inverse = np.where(on_roof, 1.25, 1.0) / FAR_M + SIGMA_PM * rng.standard_normal(MATCHES)
-    depths = Depths(inverse, np.full(MATCHES, SIGMA_PM), tangent, np.zeros(MATCHES))
+    depths = Depths(inverse, np.full(MATCHES, SIGMA_PM), tangent, np.zeros(MATCHES), np.zeros(MATCHES))
     return robust_inverse_depth(depths, RangeProduct.MEDIAN, LEAST)
 
 
@@ -74,13 +74,13 @@ def test_of_ranges_to_ground_beside_a_roof_few_lie_beyond_what_they_state() -> N
 def test_rays_that_meet_behind_the_cameras_give_no_range_and_spoil_none() -> None:
     """A toe wrong by a radian: sigmas below and near 0, whose inverse squares made a singular fit of them."""
     walls = _walls(1, 1.0)
-    behind = Depths(-walls.inverse_pm, -walls.sigma_pm, walls.tangent, walls.parallax_rad)
+    behind = Depths(-walls.inverse_pm, -walls.sigma_pm, walls.tangent, walls.parallax_rad, walls.sigma_rad)
     behind.sigma_pm[::3] = 0.0
     assert robust_inverse_depth(behind, RangeProduct.MEDIAN, LEAST) is None
     both = Depths(
         *(
             np.concatenate([getattr(walls, name), getattr(behind, name)])
-            for name in ("inverse_pm", "sigma_pm", "tangent", "parallax_rad")
+            for name in ("inverse_pm", "sigma_pm", "tangent", "parallax_rad", "sigma_rad")
         )
     )
     mixed, alone = (robust_inverse_depth(each, RangeProduct.MEDIAN, LEAST) for each in (both, walls))
@@ -95,7 +95,7 @@ def _shore(seed: int, begins: float, tilt: float) -> InverseDepthEstimate | None
     tangent = np.column_stack([rng.uniform(begins, 0.4, 60), rng.uniform(-0.3, 0.3, 60)])
     inverse = (1.0 + tilt * (tangent[:, 0] - begins)) / FAR_M + SIGMA_PM * rng.standard_normal(60)
     return robust_inverse_depth(
-        Depths(inverse, np.full(60, SIGMA_PM), tangent, np.zeros(60)), RangeProduct.MEDIAN, LEAST
+        Depths(inverse, np.full(60, SIGMA_PM), tangent, np.zeros(60), np.zeros(60)), RangeProduct.MEDIAN, LEAST
     )
 
 

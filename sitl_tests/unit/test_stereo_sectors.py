@@ -13,7 +13,7 @@ from companion.core.stereo.sectors import SECTORS, matched_sectors, sectors_of
 from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import ObstacleSectors
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels, wall_ahead
 
 SETTINGS = Settings()
 
@@ -57,9 +57,10 @@ def test_what_all_matches_share_is_larger_towards_the_edges() -> None:
     """A toe moves a ray of slope x by ``1 + x^2``; in the middle the sigma is the range's own."""
     x, inverse_pm, common_pm = np.repeat([0.0, 0.4], 3), 1.0 / 40.0, 1e-5
     tangent = np.column_stack([x, np.zeros(6)])
-    depths = Depths(np.full(6, inverse_pm), np.full(6, 1e-9), tangent, np.zeros(6))
+    depths = Depths(np.full(6, inverse_pm), np.full(6, 1e-9), tangent, np.zeros(6), np.zeros(6))
     forwards = RangeAxis(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3)[1:])
     sectors = matched_sectors(depths, forwards, common_pm, 77, SETTINGS)
+    assert sectors is not None
     assert np.flatnonzero(sectors.known).tolist() == [0, 4]
     relative = sectors.sigma_m[[0, 4]] / sectors.distance_m[[0, 4]] * inverse_pm / common_pm
     assert relative == pytest.approx([1.0, 1.16], rel=1e-6)
@@ -163,3 +164,29 @@ def test_what_is_too_near_to_be_measured_forbids_to_call_its_sector_clear() -> N
     sectors = _sectors(np.vstack([_at(0.0, 3.0, count=20), _at(0.0, 900.0)]))
     assert not sectors.known.any()
     assert not sectors.clear.any()
+
+
+def _ahead(seed: int, right: int, wrong: int) -> ObstacleSectors | None:
+    """A wall at 40 m by its right matches, and wrong ones: patches that look alike somewhere in the search's band."""
+    airframe = forward(rotation_sigma_rad=2e-5)
+    rig, random = Rig.from_airframe(airframe), np.random.default_rng(seed)
+    points = wall_ahead(40.0, right, seed)
+    points = np.vstack([points, wall_ahead(1.0, wrong, seed + 1) * random.uniform(4.0, 30.0, (wrong, 1))])
+    left_px, right_px = raw_pixels(rig, points, (0.02, 0.024))
+    right_px[:right] += 0.05 * random.normal(size=(right, 2))
+    right_px[right:, 1] += random.uniform(-8.0, 8.0, wrong)
+    deflection = bend((0.02, 0.024), slope_sigma_rad=2e-5)
+    return correct(match_set(left_px, right_px, 0.05), deflection, deflection, rig, airframe, SETTINGS).sectors
+
+
+def test_wrong_matches_alone_make_no_sectors() -> None:
+    """Their own scatter across the epipolar lines, 5 mrad, let all of them pass: sectors at 4 to 20 m."""
+    assert all(_ahead(seed, 0, 35) is None for seed in range(12))
+
+
+def test_wrong_matches_among_right_ones_cost_no_sectors() -> None:
+    for seed in range(12):
+        sectors = _ahead(seed, 60, 25)
+        assert sectors is not None
+        assert np.count_nonzero(sectors.known) >= 5
+        assert sectors.distance_m[sectors.known] == pytest.approx(40.0, rel=0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,17 +22,20 @@ _TILT = 1.0
 # Vertical parallax: what matching leaves, and how much it may grow over the image (roll between the cameras; choice).
 _PARALLAX_RAD = 1e-4
 _PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma (choice)
+# What scatters parallaxes beyond matches and rotation: places of the cameras before things at many distances, lenses
+# (choice: a good pair scatters by 0.02 to 0.8 mrad in all, one whose matches are all wrong by 4 to 10)
+_UNEXPLAINED_RAD = 1e-3
 _CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone (choice)
 _CENTRE_FRACTION = 0.2  # chosen: of the matches, nearest to the axis: few enough for one place, enough for a fit
 # a surface that is rough by less than a hundredth of its depth is one surface still (choice)
 _ROUGHNESS = 0.01
+# numerical: directions in which the gap is measured; it comes out shorter by at most a hundredth of the field of view
+_DIRECTIONS = np.exp(2j * np.pi * np.arange(360) / 360)
+_ELLIPSE_AREA = 4.0 * np.pi  # of an evenly filled ellipse, over the root of its covariance's determinant (derived)
 _INNERMOST = (
     5  # chosen: matches of the ground under the axis; of more some lie on the next roof, and ranges are withheld
 )
 _ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)
-# numerical: directions in which the gap is measured; it comes out shorter by at most a hundredth of the field of view
-_DIRECTIONS = np.exp(2j * np.pi * np.arange(360) / 360)
-_ELLIPSE_AREA = 4.0 * np.pi  # of an evenly filled ellipse, over the root of its covariance's determinant (derived)
 
 
 class RangeProduct(enum.IntEnum):
@@ -66,7 +70,7 @@ class InverseDepthEstimate:
 
 
 def robust_inverse_depth(
-    depths: Depths, product: RangeProduct, least: int, *, one_surface: bool = True
+    depths: Depths, product: RangeProduct, least: int, *, one_surface: bool = True, turn_sigma_rad: float = math.inf
 ) -> InverseDepthEstimate | None:
     """Reduce inverse depths to one value, or None when fewer than ``least`` matches support it.
 
@@ -77,9 +81,10 @@ def robust_inverse_depth(
 
     One plane through ground and roofs, or through ground and obstacles, is neither, so the plane is fitted to as many
     of the matches around the axis as lie on one surface with those nearest to it: with ``least`` of them ahead, where
-    anything may stand, with five where the ground fills the picture (``one_surface``).
+    anything may stand, with five where the ground fills the picture (``one_surface``). ``turn_sigma_rad`` is as in
+    :func:`consistent`.
     """
-    inliers = consistent(depths)
+    inliers = consistent(depths, turn_sigma_rad)
     if inliers.size < least:
         return None
     if product is RangeProduct.NEAREST:
@@ -94,9 +99,9 @@ def robust_inverse_depth(
     return _surface_on_axis(depths, outward, outward[: _INNERMOST if one_surface else least], least)
 
 
-def mean_inverse_depth(depths: Depths) -> InverseDepthEstimate | None:
-    """Mean of the matches that agree, where they are too few for a range; None without one."""
-    inliers = consistent(depths)
+def mean_inverse_depth(depths: Depths, turn_sigma_rad: float = math.inf) -> InverseDepthEstimate | None:
+    """Mean of the matches that agree (:func:`consistent`), where they are too few for a range; None without one."""
+    inliers = consistent(depths, turn_sigma_rad)
     if not inliers.size:
         return None
     weights = np.zeros(depths.inverse_pm.size)
@@ -105,23 +110,56 @@ def mean_inverse_depth(depths: Depths) -> InverseDepthEstimate | None:
     return InverseDepthEstimate(float(value.mean()), float(np.linalg.norm(sigma)) / inliers.size, weights, inliers.size)
 
 
-def consistent(depths: Depths) -> Ints:
+def consistent(depths: Depths, turn_sigma_rad: float = math.inf) -> Ints:
     """Indices (k,) of finite matches whose vertical parallax agrees with that of the others.
 
-    A common parallax is an error of the extrinsics and smooth over the image; a match that differs is a wrong match.
-    Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.
+    A common parallax is an error of the extrinsics and smooth over the image; a match that differs is a wrong match. It
+    differs beyond five scales of the parallaxes' own scatter, and that is believed only as far as the matches' sigmas
+    and the one-sigma ``turn_sigma_rad`` of the relative rotation explain it: where most matches are wrong, so is their
+    scatter. Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.
     """
-    finite = np.flatnonzero(np.isfinite(depths.inverse_pm) & np.isfinite(depths.sigma_pm) & (depths.sigma_pm > 0.0))
+    finite, residual = _parallax_residuals(depths)
     if finite.size < 3:
         return finite
+    scale = np.fmin(_scatter_rad(residual), _explained_rad(depths, finite, turn_sigma_rad))
+    alike: Bools = np.abs(residual) <= 5.0 * scale + 1e-6
+    return finite[alike]
+
+
+def parallax_explained(depths: Depths, turn_sigma_rad: float) -> bool:
+    """Whether the vertical parallaxes of a pair scatter no more than in :func:`consistent`: else most are wrong."""
+    finite, residual = _parallax_residuals(depths)
+    if finite.size < 3:
+        return True
+    return _scatter_rad(residual) <= float(np.median(_explained_rad(depths, finite, turn_sigma_rad)))
+
+
+def _parallax_residuals(depths: Depths) -> tuple[Ints, Floats]:
+    """Finite matches (n,), and what their vertical parallaxes depart by from a plane, rad."""
+    finite = np.flatnonzero(np.isfinite(depths.inverse_pm) & np.isfinite(depths.sigma_pm) & (depths.sigma_pm > 0.0))
+    if finite.size < 3:
+        return finite, np.zeros(finite.size)
     design = np.column_stack([np.ones(finite.size), depths.tangent[finite]])
     parallax = depths.parallax_rad[finite]
     prior = np.array([0.0, _PARALLAX_SLOPE**-2, _PARALLAX_SLOPE**-2])
     sigma = np.full(finite.size, _PARALLAX_RAD)
-    residual = parallax - design @ _robust(design, parallax, sigma, prior)[0]
-    scale = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
-    alike: Bools = np.abs(residual) <= 5.0 * scale + 1e-6
-    return finite[alike]
+    return finite, parallax - design @ _robust(design, parallax, sigma, prior)[0]
+
+
+def _scatter_rad(residual: Floats) -> float:
+    return MAD_TO_SIGMA * float(np.median(np.abs(residual)))
+
+
+def _explained_rad(depths: Depths, indices: Ints, turn_sigma_rad: float) -> Floats:
+    """Largest scatter (n,) of parallaxes that is believed: matching, and a rotation's part that is no plane.
+
+    That part is of second order: a yaw shows as ``x y`` of the tangents. A match may err by three of its sigmas.
+    """
+    if math.isinf(turn_sigma_rad):
+        return np.full(indices.size, math.inf)
+    matching = _CLUSTER_SIGMAS * depths.sigma_rad[indices]
+    turned = turn_sigma_rad * np.sum(depths.tangent[indices] ** 2, axis=1)
+    return np.asarray(np.sqrt(matching**2 + turned**2 + _UNEXPLAINED_RAD**2))
 
 
 def _outward(depths: Depths, indices: Ints) -> Ints:
@@ -150,6 +188,26 @@ def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> I
             sigma_pm = float(np.linalg.norm([fitted.sigma_pm, beside_pm, _unseen_pm(depths, fitted)]))
             return dataclasses.replace(fitted, sigma_pm=sigma_pm)
         count = max(count // 2, fewest)
+
+
+def _unseen_pm(depths: Depths, fitted: InverseDepthEstimate) -> float:
+    """Sigma of extrapolating a plane to the axis, 1/m: its tilt there is as unknown as that of any surface.
+
+    It grows with the distance of the axis from the convex hull of the matches that count. By their mean spacing the
+    axis may lie outside: so far apart the matches of a surface under the axis lie anyway.
+    """
+    counted = np.flatnonzero(fitted.weights)
+    tangent = depths.tangent[counted]
+    beyond = float(np.min(tangent @ np.stack([_DIRECTIONS.real, _DIRECTIONS.imag]), axis=0).max())
+    offset = tangent - tangent.mean(axis=0)
+    determinant = max(float(np.linalg.det(offset.T @ offset / counted.size)), 0.0)
+    spacing = float(np.sqrt(_ELLIPSE_AREA * np.sqrt(determinant) / counted.size))
+    return _tilt_pm(depths, counted) * max(beyond - spacing, 0.0)
+
+
+def _tilt_pm(depths: Depths, indices: Ints) -> float:
+    """Change of a surface's inverse depth per unit tangent, one sigma, where nothing tells its tilt, 1/m."""
+    return _TILT * max(float(np.median(np.abs(depths.inverse_pm[indices]))), 1e-4)
 
 
 def _with_spare(least: int) -> int:
@@ -187,26 +245,6 @@ def _edge(depths: Depths, inliers: Ints, middle: InverseDepthEstimate, size: int
     edge_pm = 0.5 * max(nearest_pm - middle.inverse_pm, 0.0)
     sigma_pm = float(np.hypot(middle.sigma_pm, edge_pm))
     return InverseDepthEstimate(middle.inverse_pm + edge_pm, sigma_pm, middle.weights, middle.used)
-
-
-def _unseen_pm(depths: Depths, fitted: InverseDepthEstimate) -> float:
-    """Sigma of extrapolating a plane to the axis, 1/m: its tilt there is as unknown as that of any surface.
-
-    It grows with the distance of the axis from the convex hull of the matches that count. By their mean spacing the
-    axis may lie outside: so far apart the matches of a surface under the axis lie anyway.
-    """
-    counted = np.flatnonzero(fitted.weights)
-    tangent = depths.tangent[counted]
-    beyond = float(np.min(tangent @ np.stack([_DIRECTIONS.real, _DIRECTIONS.imag]), axis=0).max())
-    offset = tangent - tangent.mean(axis=0)
-    determinant = max(float(np.linalg.det(offset.T @ offset / counted.size)), 0.0)
-    spacing = float(np.sqrt(_ELLIPSE_AREA * np.sqrt(determinant) / counted.size))
-    return _tilt_pm(depths, counted) * max(beyond - spacing, 0.0)
-
-
-def _tilt_pm(depths: Depths, indices: Ints) -> float:
-    """Change of a surface's inverse depth per unit tangent, one sigma, where nothing tells its tilt, 1/m."""
-    return _TILT * max(float(np.median(np.abs(depths.inverse_pm[indices]))), 1e-4)
 
 
 def _solve(depths: Depths, inliers: Ints, design: Floats) -> InverseDepthEstimate:

@@ -135,18 +135,21 @@ def correct(
     scene = _Scene.exposed(matches.features(), left, right, rig, airframe, conditions)
     depths, toe = scene.depths(scene.matches), scene.toe()
     product = RangeProduct(settings.product)
-    estimate = robust_inverse_depth(depths, product, settings.min_matches, one_surface=airframe.looks_down)
+    estimate = robust_inverse_depth(
+        depths, product, settings.min_matches, one_surface=airframe.looks_down, turn_sigma_rad=toe.sigma_rad
+    )
     if estimate is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if estimate is None else Reject.NOT_FINITE
         refused = _refused(scene.matches, scene.t_host_ns, airframe.orientation, settings, reason)
-        few = mean_inverse_depth(depths) if reason is Reject.NO_MATCHES and airframe.looks_forward else None
-        sectors = None if few is None else scene.sectors(matches, scene.causes(few).total, settings)
+        use_few = reason is Reject.NO_MATCHES and airframe.looks_forward
+        few = mean_inverse_depth(depths, toe.sigma_rad) if use_few else None
+        sectors = None if few is None else scene.sectors(matches, scene.causes(few).total, toe.sigma_rad, settings)
         return RangeAnswer(refused, sectors, depths, 0.0, Budget(0.0, 0.0, 0.0))
     causes = scene.causes(estimate)
     match_pm = float(np.hypot(estimate.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     answer = _answer(scene, settings, toe, estimate, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
-    sectors = scene.sectors(matches, causes.total, settings) if airframe.looks_forward else None
+    sectors = scene.sectors(matches, causes.total, toe.sigma_rad, settings) if airframe.looks_forward else None
     return RangeAnswer(answer, sectors, depths, match_pm * square, causes.times(square))
 
 
@@ -225,10 +228,14 @@ class _Scene:
         sigma_rad = self.budget(toe_gradient(epipolar_axes(*(exposure.pose for exposure in self.moving))[1])).total
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
-    def sectors(self, matches: MatchSet, common_sigma_pm: float, settings: Settings) -> ObstacleSectors:
+    def sectors(
+        self, matches: MatchSet, common_sigma_pm: float, toe_sigma_rad: float, settings: Settings
+    ) -> ObstacleSectors | None:
         """Obstacle sectors of all matches, whose inverse depths share an error of this sigma in the middle, 1/m."""
         depths, attitude_rad = self.depths(matches), self.conditions.attitude_rad
-        return matched_sectors(depths, self.range_axis, common_sigma_pm, self.t_host_ns, settings, attitude_rad)
+        return matched_sectors(
+            depths, self.range_axis, common_sigma_pm, self.t_host_ns, settings, attitude_rad, toe_sigma_rad
+        )
 
     def inverse_depths(self, rays: Rays) -> Floats:
         """Inverse depths (n,) of any rays, along the range axis, 1/m."""

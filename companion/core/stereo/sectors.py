@@ -7,10 +7,12 @@ increment either side of it; so the message begins a whole number of sectors fro
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from companion.core.stereo.consistency_gate import clears, nearest_supported, precise, surely_beyond
-from companion.core.stereo.inverse_depth import consistent
+from companion.core.stereo.inverse_depth import consistent, parallax_explained
 from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors
@@ -30,8 +32,9 @@ def matched_sectors(
     t_host_ns: int,
     settings: Settings,
     attitude_rad: tuple[float, float] | None = None,
-) -> ObstacleSectors:
-    """Sectors from the matches of one pair.
+    turn_sigma_rad: float = math.inf,
+) -> ObstacleSectors | None:
+    """Sectors from the matches of one pair; None where their vertical parallaxes say that most of them are wrong.
 
     Parameters
     ----------
@@ -49,8 +52,12 @@ def matched_sectors(
     attitude_rad : tuple, optional
         Roll and pitch: bearing and height then count from the horizon, so that a bank does not put the ground into
         the flight's level; without them from the body's own axes.
+    turn_sigma_rad : float
+        One-sigma of the relative rotation, which parallaxes are judged by; infinite: not judged.
     """
-    inliers = consistent(depths)
+    if not parallax_explained(depths, turn_sigma_rad):
+        return None
+    inliers = consistent(depths, turn_sigma_rad)
     inverse, along_wings = depths.inverse_pm[inliers], depths.tangent[inliers, 0]
     sigma = np.hypot(depths.sigma_pm[inliers], common_sigma_pm * (1.0 + along_wings**2))
     along = range_axis.axis + depths.tangent[inliers] @ range_axis.across

@@ -63,12 +63,15 @@ class Depths:
         Offset from the axis over depth, along two directions across it. A plane has an inverse depth linear in these.
     parallax_rad : (n,) float64
         Left minus right across the epipolar plane; zero for perfect matches and extrinsics.
+    sigma_rad : (n,) float64
+        One-sigma of a match, as a slope.
     """
 
     inverse_pm: Floats
     sigma_pm: Floats
     tangent: Floats
     parallax_rad: Floats
+    sigma_rad: Floats
 
 
 def match_rays(rig: Rig, exposures: tuple[CameraExposure, CameraExposure], matches: MatchSet) -> Rays:
@@ -124,6 +127,7 @@ def triangulate(rays: Rays, range_axis: RangeAxis, sigma_rad: Floats) -> Depths:
         sigma_pm=sigma_rad * reach / scale**2,
         tangent=(offset @ range_axis.across.T) / scale[:, np.newaxis],
         parallax_rad=left_y - right_y,
+        sigma_rad=sigma_rad,
     )
 
 
