@@ -29,7 +29,10 @@ CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
 _FAR_M = 60.0  # where the toe is what counts (choice)
 # numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-_BASELINE_OFF = 0.05  # of the base airframe's baseline: a tape measures it to a few per cent at worst (choice)
+_BASELINE_OFF = 0.02  # of the base airframe's baseline: a print "fit to page" is off by 3 % (choice)
+_BASELINE_TOLD = 0.01  # of it: worth a second look at tape and board (choice)
+_TAPE_SIGMA_M = 0.002  # of a baseline by tape, from lens to lens (choice)
+_MEASURE = "measure a square of the board for --square-m"
 _TURN_OFF_RAD = 0.175  # 10 degrees between the cameras: no eye mounts worse (choice)
 _ASIDE_RAD = 0.785  # 45 degrees between the baselines' directions: more is another side, no mounting error (choice)
 _UNDETERMINED = (
@@ -236,10 +239,10 @@ def _require_like(pair: tuple[Camera, Camera], turn_rad: Floats, apart_m: Floats
     """Refuse a right camera, turned against its axes and apart from the left one (body), that is not the base's."""
     base_m = np.array(pair[1].position_m) - np.array(pair[0].position_m)
     length_m, base_length_m = float(np.linalg.norm(apart_m)), float(np.linalg.norm(base_m))
-    if abs(length_m - base_length_m) > _BASELINE_OFF * base_length_m:
+    if abs(length_m - base_length_m) > max(_BASELINE_OFF * base_length_m, 3.0 * _TAPE_SIGMA_M):
         raise ConfigError(
-            f"the board puts the cameras {length_m:.3f} m apart, the airframe file {base_length_m:.3f} m: measure a "
-            "square of the board for --square-m; where the file is wrong, correct its cameras' position_m by a tape"
+            f"{_apart(length_m, base_length_m)}: {_MEASURE}; where the file is wrong, correct its cameras' position_m "
+            "by a tape"
         )
     turn = exp_rotation(turn_rad) @ exp_rotation(np.array(pair[1].rotation_rad))
     off_rad = float(np.linalg.norm(log_rotation(turn)))
@@ -250,6 +253,21 @@ def _require_like(pair: tuple[Camera, Camera], turn_rad: Floats, apart_m: Floats
             f"{math.degrees(aside_rad):.0f} degrees, against the airframe file: are the cameras swapped or the images "
             "mirrored? Else correct axes, rotation_rad and position_m of its cameras"
         )
+
+
+def baselines(base: Airframe, fit: RigFit) -> str:
+    """Sentence with both baselines, the board's and the base airframe's, and what to do where they differ."""
+    left, right = (np.array(camera.position_m) for camera in base.camera_pair)
+    length_m, base_length_m = float(np.linalg.norm(fit.translation_m)), float(np.linalg.norm(right - left))
+    differs = abs(length_m / base_length_m - 1.0) > _BASELINE_TOLD
+    return _apart(length_m, base_length_m) + (f"; ranges are long or short by as much: {_MEASURE}" if differs else "")
+
+
+def _apart(length_m: float, base_length_m: float) -> str:
+    percent = round(100.0 * (length_m / base_length_m - 1.0), 1) + 0.0  # not -0.0
+    return (
+        f"the board puts the cameras {length_m:.3f} m apart, the airframe file {base_length_m:.3f} m ({percent:+.1f} %)"
+    )
 
 
 def _with_lens(camera: Camera, fit: LensFit, sigmas: LensSigmas, size_px: tuple[int, int]) -> Camera:

@@ -16,7 +16,7 @@ from companion.calibration.boards import Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
-from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
+from companion.calibration.stereo_rig import CELLS, airframe_with_rig, baselines, calibrate_rig, find_views
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
@@ -120,6 +120,7 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
     for name, value, sigma, where in rows(fit):
         print(f"{where:14s} {name:18s} {value:>12s} +- {sigma}")
+    print(baselines(base, fit))
     for name, why in fit.rejected.items():
         print(f"refused {name}: {why}")
     missing = advice([view for view in views if view.name in fit.views], board, size_px)

@@ -20,6 +20,7 @@ from companion.calibration.stereo_rig import (
     BoardView,
     RigFit,
     airframe_with_rig,
+    baselines,
     calibrate_rig,
     find_views,
     toe_sigma_rad,
@@ -102,10 +103,14 @@ def _fit(kind: str, seed: int = 4) -> RigFit:
 
 def short_base() -> Airframe:
     """An airframe whose cameras are where a tape finds the rendered pair's."""
+    return _taped(0.248)
+
+
+def _taped(baseline_m: float) -> Airframe:
     base = load_airframe("forward-2m")
     left, right = (
         dataclasses.replace(camera, position_m=(0.0, y_m, 0.0))
-        for camera, y_m in zip(base.camera_pair, (-0.124, 0.124), strict=True)
+        for camera, y_m in zip(base.camera_pair, (-0.5 * baseline_m, 0.5 * baseline_m), strict=True)
     )
     return dataclasses.replace(base, left_camera=left, right_camera=right)
 
@@ -246,9 +251,19 @@ def test_the_airframe_that_is_written_has_the_rig_in_it() -> None:
 def test_a_square_of_another_size_is_refused() -> None:
     fit = calibrate_rig(_drawn(0.4, 3, square_m=0.036), CHARUCO, SIZE)
     with pytest.raises(
-        ConfigError, match=r"0\.278 m apart, the airframe file 0\.248 m: measure a square .* --square-m"
+        ConfigError, match=r"0\.278 m apart, the airframe file 0\.248 m \(\+12\.0 %\): measure a square .* --square-m"
     ):
         airframe_with_rig(short_base(), fit)
+
+
+def test_a_board_printed_at_97_percent_is_refused_and_half_of_that_is_told() -> None:
+    """Three per cent of all ranges, in no sigma."""
+    fit = calibrate_rig(_drawn(0.4, 3), CHARUCO, SIZE)
+    assert baselines(_taped(0.25), fit).endswith("0.250 m apart, the airframe file 0.250 m (+0.0 %)")
+    airframe_with_rig(_taped(0.25 / 1.015), fit)
+    assert baselines(_taped(0.25 / 1.015), fit).endswith("by as much: measure a square of the board for --square-m")
+    with pytest.raises(ConfigError, match=r"\(\+3\.0 %\): measure a square"):
+        airframe_with_rig(_taped(0.25 / 1.03), fit)
 
 
 def test_swapped_cameras_and_a_turned_right_one_are_refused() -> None:
