@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -12,11 +11,8 @@ import numpy.typing as npt
 
 from companion.calibration.boards import LEAST_CORNERS, Board, Corners, common, find_corners
 from companion.calibration.bundle import LENS, Bundle, adjust, camera_matrix
-from companion.calibration.lens_sigmas import LensSigmas, lens_sigmas, look_sigma_rad
-from companion.core.stereo.geometry import axes_from_body
-from companion.core.stereo.rotation import exp_rotation, log_rotation
+from companion.core.stereo.rotation import log_rotation
 from companion.errors import ConfigError
-from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 
 _NAMED = 5  # refused views in the sentence of an error (choice)
@@ -29,12 +25,6 @@ CELLS = 4  # a side, of the grid by which image coverage is judged (choice)
 _FAR_M = 60.0  # where the toe is what counts (choice)
 # numerical: steps at most, and a gain by which rounding rules
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-_BASELINE_OFF = 0.02  # of the base airframe's baseline: a print "fit to page" is off by 3 % (choice)
-_BASELINE_TOLD = 0.01  # of it: worth a second look at tape and board (choice)
-_TAPE_SIGMA_M = 0.002  # of a baseline by tape, from lens to lens (choice)
-_MEASURE = "measure a square of the board for --square-m"
-_TURN_OFF_RAD = 0.175  # 10 degrees between the cameras: no eye mounts worse (choice)
-_ASIDE_RAD = 0.785  # 45 degrees between the baselines' directions: more is another side, no mounting error (choice)
 _UNDETERMINED = (
     "the views do not determine the lenses: tilt the board by 20 degrees and more, to all sides, near and far, "
     "and show it in all of the image"
@@ -148,12 +138,16 @@ def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[lis
 
 
 def calibrate_rig(
-    views: list[BoardView], board: Board, size_px: tuple[int, int], rejected: dict[str, str] | None = None
+    views: list[BoardView],
+    board: Board,
+    size_px: tuple[int, int],
+    rejected: dict[str, str] | None = None,
+    focal_px: tuple[float, float] | None = None,
 ) -> RigFit:
     """Calibrate both lenses and their relative pose; views that fit much worse than the others are left out, by name.
 
     ``views`` come from :func:`find_views`; ``size_px`` is width and height; ``rejected`` are views that were refused
-    before.
+    before; ``focal_px``, of the left and the right camera, is believed roughly, and a second start of the search.
 
     Raises
     ------
@@ -161,20 +155,24 @@ def calibrate_rig(
         Fewer than six usable views, or the views do not determine the lenses.
     """
     try:
-        return _calibrated(views, board, size_px, rejected)
+        return _calibrated(views, board, size_px, rejected, focal_px)
     except np.linalg.LinAlgError as error:
         raise ConfigError(_UNDETERMINED) from error
 
 
 def _calibrated(
-    views: list[BoardView], board: Board, size_px: tuple[int, int], rejected: dict[str, str] | None
+    views: list[BoardView],
+    board: Board,
+    size_px: tuple[int, int],
+    rejected: dict[str, str] | None,
+    focal_px: tuple[float, float] | None,
 ) -> RigFit:
     refused = dict(rejected or {})
     while True:
         if len(views) < LEAST_VIEWS:
             reasons = "; ".join(f"{name}: {why}" for name, why in [*refused.items()][:_NAMED]) or "none"
             raise ConfigError(f"{len(views)} usable views are too few, {LEAST_VIEWS} are needed; refused: {reasons}")
-        alone = [_lens(views, side, board, size_px) for side in Side]
+        alone = [_lens(views, side, board, size_px, focal_px[side] if focal_px else None) for side in Side]
         bad = _worst([lens.errors_px for lens in alone], "reprojection error {:.2f} px in the {} image, usual {:.2f}")
         bundle = None if bad else _bundle(views, board, alone, size_px)
         if bundle is not None:
@@ -210,82 +208,6 @@ def _determined(bundle: Bundle) -> bool:
     return bool(np.all(sigma_px <= _LARGEST_FOCAL_SIGMA * focal_px)) and bundle.error_px <= _LARGEST_ERROR_PX
 
 
-def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
-    """The base airframe with calibrated lenses; the left camera keeps its mounting, the right one follows from it.
-
-    Raises
-    ------
-    ConfigError
-        The base has no cameras, or they are not where the fit has them: a wrong board, or cameras swapped.
-    """
-    pair, sigmas = base.camera_pair, lens_sigmas(fit.bundle, fit.size_px)
-    left, right = (_with_lens(pair[k], fit.lenses[k], sigmas[k], fit.size_px) for k in (0, 1))
-    left_from_body = exp_rotation(-np.array(left.rotation_rad)) @ axes_from_body(left.axes, "left_camera.axes")
-    right_from_left = exp_rotation(fit.rotation_rad)
-    turned = right_from_left @ left_from_body @ axes_from_body(right.axes, "right_camera.axes").T
-    x, y, z = (float(entry) for entry in -log_rotation(turned))
-    centre_left = -right_from_left.T @ fit.translation_m
-    _require_like(pair, log_rotation(turned), left_from_body.T @ centre_left)
-    px, py, pz = (float(entry) for entry in np.array(left.position_m) + left_from_body.T @ centre_left)
-    # each camera is given half of the variance; what rotation and principal points trade is in neither
-    sigma = float(np.sqrt(np.mean(look_sigma_rad(fit.bundle, fit.size_px) ** 2) / 2.0))
-    right = dataclasses.replace(right, rotation_rad=(x, y, z), position_m=(px, py, pz), rotation_sigma_rad=sigma)
-    return dataclasses.replace(
-        base, left_camera=dataclasses.replace(left, rotation_sigma_rad=sigma), right_camera=right
-    )
-
-
-def _require_like(pair: tuple[Camera, Camera], turn_rad: Floats, apart_m: Floats) -> None:
-    """Refuse a right camera, turned against its axes and apart from the left one (body), that is not the base's."""
-    base_m = np.array(pair[1].position_m) - np.array(pair[0].position_m)
-    length_m, base_length_m = float(np.linalg.norm(apart_m)), float(np.linalg.norm(base_m))
-    if abs(length_m - base_length_m) > max(_BASELINE_OFF * base_length_m, 3.0 * _TAPE_SIGMA_M):
-        raise ConfigError(
-            f"{_apart(length_m, base_length_m)}: {_MEASURE}; where the file is wrong, correct its cameras' position_m "
-            "by a tape"
-        )
-    turn = exp_rotation(turn_rad) @ exp_rotation(np.array(pair[1].rotation_rad))
-    off_rad = float(np.linalg.norm(log_rotation(turn)))
-    aside_rad = math.acos(max(-1.0, min(1.0, float(apart_m @ base_m) / (length_m * base_length_m))))
-    if off_rad > _TURN_OFF_RAD or aside_rad > _ASIDE_RAD:
-        raise ConfigError(
-            f"the right camera is turned by {math.degrees(off_rad):.0f} degrees, and its place from the left one by "
-            f"{math.degrees(aside_rad):.0f} degrees, against the airframe file: are the cameras swapped or the images "
-            "mirrored? Else correct axes, rotation_rad and position_m of its cameras"
-        )
-
-
-def baselines(base: Airframe, fit: RigFit) -> str:
-    """Sentence with both baselines, the board's and the base airframe's, and what to do where they differ."""
-    left, right = (np.array(camera.position_m) for camera in base.camera_pair)
-    length_m, base_length_m = float(np.linalg.norm(fit.translation_m)), float(np.linalg.norm(right - left))
-    differs = abs(length_m / base_length_m - 1.0) > _BASELINE_TOLD
-    return _apart(length_m, base_length_m) + (f"; ranges are long or short by as much: {_MEASURE}" if differs else "")
-
-
-def _apart(length_m: float, base_length_m: float) -> str:
-    percent = round(100.0 * (length_m / base_length_m - 1.0), 1) + 0.0  # not -0.0
-    return (
-        f"the board puts the cameras {length_m:.3f} m apart, the airframe file {base_length_m:.3f} m ({percent:+.1f} %)"
-    )
-
-
-def _with_lens(camera: Camera, fit: LensFit, sigmas: LensSigmas, size_px: tuple[int, int]) -> Camera:
-    fx, fy, cx, cy, *bent = (float(value) for value in fit.values)
-    return dataclasses.replace(
-        camera,
-        width_px=size_px[0],
-        height_px=size_px[1],
-        focal_px=Uncertain(fx, float(fit.sigmas[0])),
-        focal_ratio=fy / fx,
-        principal_px=(cx, cy),
-        distortion=tuple(bent),
-        tilt_sigma_rad=sigmas.tilt_rad,
-        prism_sigma=sigmas.prism,
-        radial_sigma=sigmas.radial,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class _Alone:
     """A lens calibrated without the other one: where the bundle starts."""
@@ -296,14 +218,21 @@ class _Alone:
     errors_px: Floats
 
 
-def _lens(views: list[BoardView], side: Side, board: Board, size_px: tuple[int, int]) -> _Alone:
+def _lens(views: list[BoardView], side: Side, board: Board, size_px: tuple[int, int], focal_px: float | None) -> _Alone:
+    """The lens by itself: views tilted by a few degrees have a false minimum, so the better of two starts counts."""
     corners = [view.left if side is Side.LEFT else view.right for view in views]
     grid = board.points_m().astype(np.float32)
     points = [grid[each.ids] for each in corners]
     pixels = [each.pixels.astype(np.float32).reshape(-1, 1, 2) for each in corners]
-    _, matrix, bent, turns, places, _, _, errors = cv2.calibrateCameraExtended(
-        points, pixels, size_px, np.eye(3), np.zeros(5), criteria=_STOP
-    )
+    starts = [(np.eye(3), 0)]
+    if focal_px is not None:
+        centre_px = 0.5 * (np.array(size_px) - 1.0)
+        starts.append((camera_matrix(np.array([focal_px, focal_px, *centre_px])), cv2.CALIB_USE_INTRINSIC_GUESS))
+    fits = [
+        cv2.calibrateCameraExtended(points, pixels, size_px, start, np.zeros(5), flags=flags, criteria=_STOP)
+        for start, flags in starts
+    ]
+    _, matrix, bent, turns, places, _, _, errors = min(fits, key=lambda fit: float(fit[0]))
     poses = np.array([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
     return _Alone(
         np.asarray(matrix, dtype=np.float64),

@@ -16,7 +16,8 @@ from companion.calibration.boards import Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
-from companion.calibration.stereo_rig import CELLS, airframe_with_rig, baselines, calibrate_rig, find_views
+from companion.calibration.rig_airframe import airframe_with_rig, baselines, rough_focal_px
+from companion.calibration.stereo_rig import CELLS, calibrate_rig, find_views
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
@@ -115,7 +116,7 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     pairs, lonely = _read_pairs(folder)
     views, rejected = find_views(pairs, board)
     size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])
-    fit = calibrate_rig(views, board, size_px, lonely | rejected)
+    fit = calibrate_rig(views, board, size_px, lonely | rejected, rough_focal_px(base, size_px[0]))
     print(verdict(fit)[1])
     print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
     for name, value, sigma, where in rows(fit):

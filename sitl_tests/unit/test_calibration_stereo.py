@@ -16,20 +16,13 @@ import pytest
 from companion.calibration import stereo_rig
 from companion.calibration.boards import Board, Corners, find_corners
 from companion.calibration.bundle import Bundle, adjust
-from companion.calibration.stereo_rig import (
-    BoardView,
-    RigFit,
-    airframe_with_rig,
-    baselines,
-    calibrate_rig,
-    find_views,
-    toe_sigma_rad,
-)
+from companion.calibration.rig_airframe import airframe_with_rig, baselines
+from companion.calibration.stereo_rig import BoardView, RigFit, calibrate_rig, find_views, toe_sigma_rad
 from companion.cli import calibrate
 from companion.core.stereo.geometry import Lens, Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.errors import ConfigError
-from companion.params.airframe import Airframe
+from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 
 SIZE = (640, 480)
@@ -109,7 +102,7 @@ def short_base() -> Airframe:
 def _taped(baseline_m: float) -> Airframe:
     base = load_airframe("forward-2m")
     left, right = (
-        dataclasses.replace(camera, position_m=(0.0, y_m, 0.0))
+        dataclasses.replace(camera, position_m=(0.0, y_m, 0.0), focal_px=Uncertain(600.0, 12.0))
         for camera, y_m in zip(base.camera_pair, (-0.5 * baseline_m, 0.5 * baseline_m), strict=True)
     )
     return dataclasses.replace(base, left_camera=left, right_camera=right)
@@ -264,6 +257,28 @@ def test_a_board_printed_at_97_percent_is_refused_and_half_of_that_is_told() -> 
     assert baselines(_taped(0.25 / 1.015), fit).endswith("by as much: measure a square of the board for --square-m")
     with pytest.raises(ConfigError, match=r"\(\+3\.0 %\): measure a square"):
         airframe_with_rig(_taped(0.25 / 1.03), fit)
+
+
+def test_the_start_at_the_base_s_focal_length_is_used_where_it_fits_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV's own start ends in a false minimum at times, where the board is tilted by 5 degrees."""
+    searched, starts = cv2.calibrateCameraExtended, list[float]()
+
+    def misled(*words: Any, flags: int, criteria: Any) -> Any:
+        starts.append(float(words[3][0, 0]))
+        result = searched(*words, flags=flags, criteria=criteria)
+        return result if flags else (9.0 + result[0], 2.0 * result[1], *result[2:])
+
+    monkeypatch.setattr(cv2, "calibrateCameraExtended", misled)
+    fit = calibrate_rig(_drawn(0.4, 3), CHARUCO, SIZE, focal_px=(590.0, 585.0))
+    assert {590.0, 585.0} < set(starts)
+    assert fit.lenses[0].values[0] == pytest.approx(610.0, rel=0.01)
+
+
+def test_a_focal_length_that_is_not_the_base_s_is_refused() -> None:
+    fit, base = calibrate_rig(_drawn(0.4, 3), CHARUCO, SIZE), short_base()
+    left, right = (dataclasses.replace(camera, focal_px=Uncertain(700.0, 14.0)) for camera in base.camera_pair)
+    with pytest.raises(ConfigError, match=r"left focal length is 6[01]\d px by the board and 700 px by the airframe"):
+        airframe_with_rig(dataclasses.replace(base, left_camera=left, right_camera=right), fit)
 
 
 def test_swapped_cameras_and_a_turned_right_one_are_refused() -> None:
