@@ -17,6 +17,7 @@ LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it 
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
 _WINDOW_PX = (2, 11)  # half window of the corner refinement, least and most (choice)
+_DOWNWARD = np.array([0.1, 1.0])  # chosen: level boards are told apart by their ends
 # numerical: steps at most, px: far below a corner's noise
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
@@ -85,9 +86,19 @@ def common(left: Corners, right: Corners) -> Ints:
     return np.intersect1d(left.ids, right.ids)
 
 
-def _upright(pixels: Floats) -> Floats:
-    """A plain chessboard looks alike after half a turn; both cameras are to count from the corner nearer the top."""
-    return pixels if pixels[0, 1] + 0.1 * pixels[0, 0] <= pixels[-1, 1] + 0.1 * pixels[-1, 0] else pixels[::-1].copy()
+def _upright(pixels: Floats, board: Board) -> Floats:
+    """Corners numbered so that both cameras agree: of a board that looks alike after half a turn, from the upper end.
+
+    A chessboard does where across and down are both odd or both even; else its colours tell its ends apart, and the
+    detector's order, which follows them, stays however the board is turned.
+    """
+    return pixels if sum(board.squares) % 2 or begins_above(pixels) else pixels[::-1].copy()
+
+
+def begins_above(pixels: Floats) -> bool:
+    """Whether the first of a chessboard's corners (n, 2) lies nearer the top of the image than the last one."""
+    first, last = pixels[0] @ _DOWNWARD, pixels[-1] @ _DOWNWARD
+    return bool(first <= last)
 
 
 def _refined(image: Bytes, detected: Corners, board: Board) -> Floats:
@@ -110,7 +121,7 @@ def _chessboard(image: Bytes, board: Board) -> Corners | None:
     if not complete:
         return None
     pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    return Corners(np.arange(len(pixels)), _upright(pixels))
+    return Corners(np.arange(len(pixels)), _upright(pixels, board))
 
 
 def _charuco(image: Bytes, board: Board) -> Corners | None:

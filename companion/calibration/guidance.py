@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from companion.calibration.boards import Board, Corners
+from companion.calibration.boards import Board, Corners, begins_above
 from companion.calibration.stereo_rig import CELLS, BoardView, cells
 from companion.records import Floats, Side
 
@@ -53,7 +53,8 @@ def is_new(view: BoardView, others: list[BoardView], size_px: tuple[int, int]) -
 def perspective(corners: Corners, board: Board) -> Floats:
     """(2,) how the board's scale in the image falls from its left to its right edge, and from top to bottom.
 
-    From the homography board -> image, whose denominator ``1 + a x + b y`` grows with depth.
+    From the homography board -> image, whose denominator ``1 + a x + b y`` grows with depth. A chessboard that counts
+    from its lower end has its edges as they are seen.
     """
     inner = board.points_m()[:, :2]
     centred = (inner - inner.mean(axis=0))[corners.ids]
@@ -62,7 +63,7 @@ def perspective(corners: Corners, board: Board) -> Floats:
         return np.zeros(2)
     extent = inner.max(axis=0) - inner.min(axis=0)
     falls: Floats = np.asarray(homography[2, :2] / homography[2, 2] * extent, dtype=np.float64)
-    return falls
+    return -falls if board.kind == "chessboard" and not begins_above(corners.pixels) else falls
 
 
 def _missing_cells(views: list[BoardView], side: Side, size_px: tuple[int, int]) -> str:

@@ -69,6 +69,28 @@ def mount(attitudes: list[Attitude]) -> Mounting:
         )
     felt = np.array([each.up_section for each in attitudes])
     boards = np.array([each.camera_from_board for each in attitudes])
+    rotation, errors, slope = _solved(felt, boards)
+    spread = np.linalg.svd(slope, compute_uv=False)
+    free = max(2 * len(attitudes) - 5, 1)
+    variance = float(errors @ errors) / free
+    sigma = np.sqrt(variance * np.diag(np.linalg.pinv(slope.T @ slope, rcond=1e-9))[:3])
+    angles = np.linalg.norm(errors.reshape(-1, 3), axis=1)
+    if spread[4] < 0.01 * spread[0] or float(sigma.max()) > _LARGEST_SIGMA_RAD:
+        raise ConfigError(
+            "the attitudes do not determine the mounting: bank the aircraft both ways and pitch it too; "
+            f"the attitude that fits worst: {attitudes[_worst(felt, boards)].name}"
+        )
+    return Mounting(rotation, sigma, angles)
+
+
+def _worst(felt: Floats, boards: Floats) -> int:
+    """The attitude without which the others agree best."""
+    without = [_solved(np.delete(felt, k, axis=0), np.delete(boards, k, axis=0))[1] for k in range(len(felt))]
+    return int(np.argmin([errors @ errors for errors in without]))
+
+
+def _solved(felt: Floats, boards: Floats) -> tuple[Floats, Floats, Floats]:
+    """Mounting (3, 3), what is left of up (3 k,), and its slope by small turns, by Gauss-Newton."""
     rotation, up = _start(felt, boards)
     for _ in range(_MAX_STEPS):
         errors, slope = _errors(rotation, up, felt, boards)
@@ -78,14 +100,7 @@ def mount(attitudes: list[Attitude]) -> Mounting:
         if float(np.linalg.norm(step)) < 1e-12:
             break
     errors, slope = _errors(rotation, up, felt, boards)
-    spread = np.linalg.svd(slope, compute_uv=False)
-    free = max(2 * len(attitudes) - 5, 1)
-    variance = float(errors @ errors) / free
-    sigma = np.sqrt(variance * np.diag(np.linalg.pinv(slope.T @ slope, rcond=1e-9))[:3])
-    if spread[4] < 0.01 * spread[0] or float(sigma.max()) > _LARGEST_SIGMA_RAD:
-        raise ConfigError("the attitudes do not determine the mounting: bank the aircraft both ways and pitch it too")
-    angles = np.linalg.norm(errors.reshape(-1, 3), axis=1)
-    return Mounting(rotation, sigma, angles)
+    return rotation, errors, slope
 
 
 def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> Airframe:

@@ -63,6 +63,15 @@ def test_attitudes_that_do_not_differ_are_refused() -> None:
         mount(same[:3])
 
 
+def test_an_attitude_whose_board_is_taken_upside_down_is_named() -> None:
+    for k in range(8):
+        attitudes = _attitudes(np.eye(3), 3, felt_rad=1e-3, seen_rad=3e-4)
+        turned = attitudes[k].camera_from_board @ np.diag([-1.0, -1.0, 1.0])
+        attitudes[k] = dataclasses.replace(attitudes[k], camera_from_board=turned)
+        with pytest.raises(ConfigError, match=f"pitch it too; the attitude that fits worst: {k}"):
+            mount(attitudes)
+
+
 def _base() -> Airframe:
     """The rendered pair's true lenses and relative pose, mounted as the file says."""
     base = load_airframe("forward-2m")

@@ -301,6 +301,18 @@ def test_a_board_is_not_found_where_there_is_none() -> None:
         Board("triangle", (10, 7), 0.04)
 
 
+@pytest.mark.parametrize("bank_deg", [-60, -20, 20, 45, 120])
+def test_a_chessboard_that_its_colours_tell_from_its_half_turn_is_numbered_alike_in_any_bank(bank_deg: int) -> None:
+    points, firsts = CHESS.points_m(), []
+    for turn in (np.zeros(3), np.array([0.0, 0.0, np.radians(bank_deg)])):
+        place = np.array([0.05, 0.0, 0.9]) - exp_rotation(turn) @ points.mean(axis=0)
+        corners = find_corners(_photograph("left", "chessboard", turn, place, 3), CHESS)
+        assert corners is not None
+        ends = LEFT.project(points[[0, -1]] @ exp_rotation(turn).T + place)
+        firsts.append(int(np.argmin(np.linalg.norm(ends - corners.pixels[0], axis=1))))
+    assert firsts[0] == firsts[1]
+
+
 @pytest.mark.slow
 def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path) -> None:
     for k, (_, left, right) in enumerate(_pairs("charuco")):
