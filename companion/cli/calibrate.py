@@ -196,4 +196,9 @@ def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
         )
         cameras.append(dataclasses.replace(camera, latency_s=Uncertain(median, sigma)))
     print(f"from {result.shots} shots")
+    if result.ambiguous_s is not None:
+        print(
+            f"the exposures do not name their shots, which came {1e3 * result.ambiguous_s:.0f} ms apart at the "
+            "shortest: a latency longer than that is told too short; record with shots farther apart where it may be"
+        )
     return dataclasses.replace(base, left_camera=cameras[0], right_camera=cameras[1])

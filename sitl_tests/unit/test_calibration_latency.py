@@ -63,6 +63,29 @@ def test_the_latency_is_to_the_first_row_of_either_camera_and_gives_the_stamp_ba
     assert leads_ns == pytest.approx([13.8e6, 16.3e6], abs=0.05e6)
 
 
+def test_stamps_cut_to_milliseconds_leave_their_step_in_the_sigma() -> None:
+    """All within half a step: the median deviation is 0."""
+    records = [
+        dataclasses.replace(record, mid_exposure_ns=record.mid_exposure_ns // 1_000_000 * 1_000_000)
+        if isinstance(record, MatchSet)
+        else record
+        for record in _records(40, known_plans=True)
+    ]
+    assert np.all(trigger_latency(records, CAMERAS).sigma_s >= 1e-3 / np.sqrt(12.0))
+    steady = [
+        dataclasses.replace(record, mid_exposure_ns=np.array([k // 2 * 100_000_000 + 1_009_000_001] * 2))
+        if isinstance(record, MatchSet)
+        else record
+        for k, record in enumerate(_records(40, known_plans=True))
+    ]
+    assert np.all(trigger_latency(steady, CAMERAS).sigma_s >= 5e-5)
+
+
+def test_without_plans_a_latency_beyond_the_period_is_ambiguous_and_that_is_told() -> None:
+    assert trigger_latency(_records(40, known_plans=True), CAMERAS).ambiguous_s is None
+    assert trigger_latency(_records(40, known_plans=False), CAMERAS).ambiguous_s == pytest.approx(0.1)
+
+
 def test_a_few_shots_are_too_few() -> None:
     with pytest.raises(RecordingError, match="only 5"):
         trigger_latency(_records(5, known_plans=True), CAMERAS)
