@@ -83,11 +83,16 @@ def execute(options: argparse.Namespace) -> int:
         check_output(path, "--out")
         _check_earlier(path, options.airframe)
         airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
-        text = dump_airframe(airframe)
-        parse_airframe(text, f"{path}, not written")
-        path.write_text(text, encoding="utf-8")
+        path.write_text(_text(airframe, path), encoding="utf-8")
     print(f"wrote {path}")
     return 0
+
+
+def _text(airframe: Airframe, path: Path) -> str:
+    """The airframe as its file has it; :class:`ConfigError` for one that no file may hold."""
+    text = dump_airframe(airframe)
+    parse_airframe(text, f"{path}, not written")
+    return text
 
 
 def _check_earlier(path: Path, airframe: str) -> None:
@@ -117,6 +122,8 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     views, rejected = find_views(pairs, board)
     size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])
     fit = calibrate_rig(views, board, size_px, lonely | rejected, rough_focal_px(base, size_px[0]))
+    airframe = airframe_with_rig(base, fit)
+    _text(airframe, options.out / "airframe.toml")
     print(verdict(fit)[1])
     print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
     for name, value, sigma, where in rows(fit):
@@ -138,7 +145,7 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
         off = np.abs(errors_in_sigmas(fit, rehearsal.airframe))
         rms, worst = float(np.sqrt(np.mean(off**2))), float(off.max())
         print(f"against the simulated truth: error over sigma {rms:.2f} rms over 24 parameters, {worst:.2f} at most")
-    return airframe_with_rig(base, fit)
+    return airframe
 
 
 def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:

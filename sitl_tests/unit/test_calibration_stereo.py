@@ -344,6 +344,22 @@ def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path
     Rig.from_airframe(load_airframe(str(tmp_path / "out" / "airframe.toml")))
 
 
+def test_a_refused_rig_is_not_called_usable_first_and_leaves_no_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = np.zeros(SIZE[::-1], np.uint8)
+    monkeypatch.setattr(calibrate, "_read_pairs", lambda _: ([("1", image, image)], {}))
+    monkeypatch.setattr(calibrate, "find_views", lambda *_: (_drawn(0.4, 3, square_m=0.036), {}))
+    monkeypatch.setattr(calibrate, "load_airframe", lambda _: short_base())
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    words = ["stereo", "images", "--square-m", "0.04", "--airframe", "base", "--out", str(tmp_path)]
+    with pytest.raises(ConfigError, match="measure a square"):
+        calibrate.execute(parser.parse_args(words))
+    assert capsys.readouterr().out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
 def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_it_has(kind: str) -> None:
     """Points 60 m ahead, seen by the true rig and ranged by the calibrated one."""
