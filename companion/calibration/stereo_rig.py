@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 
@@ -123,8 +124,12 @@ def _inverse_range_pm(shared: Floats, left_px: Floats, right_px: Floats) -> Floa
 
 
 def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[BoardView], dict[str, str]]:
-    """Look for the board in named image pairs; give the views, and the names of those without, with the reason."""
+    """Look for the board in named image pairs; give the views, and the names of the others, with the reason.
+
+    A copy of an earlier image, bit for bit, teaches nothing and would make every sigma smaller.
+    """
     views, rejected = [], {}
+    earlier: dict[bytes, str] = {}
     for name, left_image, right_image in pairs:
         left, right = find_corners(left_image, board), find_corners(right_image, board)
         if left is None or right is None:
@@ -133,6 +138,12 @@ def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[lis
         elif len(common(left, right)) < LEAST_CORNERS:
             rejected[name] = f"the cameras share only {len(common(left, right))} corners"
         else:
+            digests = [hashlib.sha256(image.tobytes()).digest() for image in (left_image, right_image)]
+            copied = [earlier[digest] for digest in digests if digest in earlier]
+            if copied:
+                rejected[name] = f"an image is that of {copied[0]}, bit for bit"
+                continue
+            earlier |= dict.fromkeys(digests, name)
             views.append(BoardView(name, left, right))
     return views, rejected
 

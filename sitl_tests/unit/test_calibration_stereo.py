@@ -202,6 +202,14 @@ def test_a_view_whose_images_do_not_belong_together_or_show_no_board_is_refused_
         calibrate_rig(views, CHESS, SIZE)
 
 
+def test_a_copy_of_a_view_is_refused_by_name() -> None:
+    first, second = _pairs("charuco", 2)
+    views, rejected = find_views([first, ("copy", *first[1:]), second, ("frozen", second[1], first[2])], CHARUCO)
+    assert [view.name for view in views] == ["view00", "view01"]
+    assert rejected["copy"] == "an image is that of view00, bit for bit"
+    assert "bit for bit" in rejected["frozen"]
+
+
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.01, 0.02, 0.03])
 def test_a_board_that_was_not_tilted_is_refused(tilt_rad: float) -> None:
     for seed in range(3):
