@@ -170,6 +170,16 @@ def test_short_gaps_are_bridged_and_long_ones_part_a_recording(airframe: Airfram
     assert "2 gaps, the longest 1901 ms; 17.6 s in 2 segments are judged, 1 gap in them bridged" in segments[0].notes[0]
 
 
+def test_the_mean_at_rest_is_that_of_what_was_recorded(airframe: Airframe) -> None:
+    """Gaps from crest to crest of a swing: straight lines across them put the mean 2.4 m/s^2 off."""
+    swing = 10.0 * np.cos(2.0 * np.pi * 5.0 * T_S) + VALUES
+    inside = ~span_mask(*((start, start + 0.8) for start in np.arange(2.0, 18.0, 3.0)))
+    tips = {side: RawStream(T_S[inside], swing[inside]) for side in Side}
+    root = RawStream(T_S, np.random.default_rng(7).standard_normal(COUNT))
+    (got,) = observe(RawRecording(tips, root), airframe, TOP_HZ)
+    np.testing.assert_allclose(got.mean_force_mps2, 0.0, atol=0.3)
+
+
 def test_eight_seconds_may_be_pieced_together_and_no_fewer(airframe: Airframe) -> None:
     pieces = [(2.5 * k + 0.0, 2.5 * k + 1.3) for k in range(8)]  # no stretch of 2 s
     inside = span_mask(*pieces)

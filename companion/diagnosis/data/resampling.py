@@ -159,7 +159,7 @@ def _observed(
         rate_hz,
         sides,
         _resample(up - up.mean(0), keep),
-        np.asarray(tips.mean(0) - root.mean()),
+        -up.mean(0),
         raw.root is not None,
         load,
         channels,
