@@ -136,7 +136,7 @@ def residues(frequency_hz: Floats, response: Complex, poles: list[Pole]) -> Comp
     wanted = np.concatenate([response.real, response.imag], axis=1).T
     norms = np.linalg.norm(stacked, axis=0)
     fitted, *_ = np.linalg.lstsq(stacked / norms, wanted, rcond=None)
-    pairs = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, -1)
+    pairs = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, len(response))
     answer: Complex = (pairs[:, 0] + 1j * pairs[:, 1]).T
     return answer
 

@@ -63,7 +63,7 @@ def read_vibration_test(
     ConfigError
         The layout is missing, no TOML, or lacks a key, or a value of it is of the wrong kind.
     RecordingError
-        A run's file is missing or has no such channel.
+        A run's file is missing or has no such channel, or a channel has samples that are no numbers.
     """
     layout = _layout(layout_path)
     if "test" in layout and "points" not in layout:
@@ -129,6 +129,9 @@ def _run(
     if not all(0 <= column < signals.shape[1] for column in wanted):
         raise RecordingError(f"{path}: has {signals.shape[1]} channels, the layout asks for column {worst}")
     signals = signals.astype(np.float64)
+    holed = [column for column in wanted if not np.isfinite(signals[:, column]).all()]
+    if holed:
+        raise RecordingError(f"{path}: column {holed[0]} has samples that are no numbers: record the run once more")
     low, high = layout["band_hz"]
     if not 0.0 < float(layout["rate_hz"]) <= _FASTEST_HZ:
         raise ValueError(f"rate_hz must be above 0 and at most {_FASTEST_HZ:g}")

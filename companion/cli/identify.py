@@ -60,7 +60,7 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
     test = read_vibration_test(options.layout, options.folder, read_matlab)
     modes = identify_runs(test.runs, len(test.points))
     if not modes:
-        print("no mode came back in half of the runs")
+        print("no mode came back in half of the runs: check the column of the force, and 'band_hz'")
         return NOTHING_TO_ESTIMATE
     _print_modes(modes, test)
     bending = bending_modes(modes, test.points)

@@ -74,6 +74,7 @@ def _free_decay(
     band_hz = _band(mapping)
     for table in tables:
         _rate_hz(table, band_hz)
+        _varying(table, [name for name in _TIPS if name in table.channels])
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +35,14 @@ def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) ->
     Raises
     ------
     RecordingError
-        It cannot be read, or has no wing accelerometer.
+        It cannot be read, has no wing accelerometer, or two tips of the same samples.
     """
     recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
     streams = _streams(recording)
     tips = {side: _tip(streams[station]) for station, side in _SIDES.items() if station in streams}
     if not tips:
         raise RecordingError(f"{path}: no vertical wing accelerometer (left_z, right_z): nothing to diagnose")
+    _two_sensors(path, tips)
     root = streams.get(Station.ROOT)
     covariates, ranges = _tables(recording)
     if root is None:
@@ -51,6 +53,12 @@ def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) ->
 def _tip(stream: tuple[Floats, Floats]) -> RawStream:
     t_s, values = stream
     return RawStream(t_s, values[:, 2], values[:, 1] if _measured(values[:, 1]) else None)
+
+
+def _two_sensors(path: Path, tips: Mapping[Side, RawStream]) -> None:
+    first, *others = (tip.force_z_mps2 for tip in tips.values())
+    if any(np.array_equal(first, other) and np.ptp(first) > 0.0 for other in others):
+        raise RecordingError(f"{path}: left_z and right_z are the same samples, those of one sensor: check the mapping")
 
 
 def _rigid(root: tuple[Floats, Floats]) -> dict[str, tuple[Floats, Floats]]:

@@ -213,6 +213,13 @@ def test_a_band_that_cannot_be_is_refused(band_hz: tuple[float, float]) -> None:
 def test_a_layout_whose_band_shows_nothing_is_refused(
     band_hz: list[float], rows: int, complaint: str, tmp_path: Path
 ) -> None:
+    noise = np.random.default_rng(0).normal(size=(rows, 2))
+    with pytest.raises(SpanwiseError, match=complaint):
+        read_vibration_test(_layout(tmp_path, band_hz), tmp_path, lambda _path: {"signalIn": noise})
+
+
+def _layout(tmp_path: Path, band_hz: list[float]) -> Path:
+    """One run of one accelerometer."""
     layout = tmp_path / "layout.toml"
     layout.write_text(
         f"""rate_hz = 200.0
@@ -224,9 +231,20 @@ runs = [{{ file = "run.mat", points = [1] }}]
 """
     )
     (tmp_path / "run.mat").touch()
-    noise = np.random.default_rng(0).normal(size=(rows, 2))
-    with pytest.raises(SpanwiseError, match=complaint):
-        read_vibration_test(layout, tmp_path, lambda _path: {"signalIn": noise})
+    return layout
+
+
+def test_a_run_with_a_sample_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(size=(4000, 2))
+    noise[500, 1] = np.nan
+    with pytest.raises(SpanwiseError, match="column 1 has samples that are no numbers"):
+        read_vibration_test(_layout(tmp_path, [2.0, 30.0]), tmp_path, lambda _path: {"signalIn": noise})
+
+
+def test_a_run_without_poles_has_no_residues() -> None:
+    """No pole comes back where the force is the wrong column."""
+    run = _runs()[0]
+    assert residues(run.frequency_hz, run.response, []).shape == (2, 0)
 
 
 def test_a_mode_of_a_single_run_keeps_the_relative_sigmas_of_the_base(tmp_path: Path) -> None:

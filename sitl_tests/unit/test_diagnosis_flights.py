@@ -105,6 +105,25 @@ def test_a_table_without_what_its_test_needs_is_refused_with_the_reason(
     assert "the mapping gives no left_z_mps2 or right_z_mps2" in capsys.readouterr().err
 
 
+def test_a_sensor_that_never_changes_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one.csv").write_text("t,a\n" + "".join(f"{0.002 * k:.3f},-9.8\n" for k in range(2000)))
+    (tmp_path / "ring.toml").write_text(
+        'test = "ringing"\nband_hz = [4.0, 20.0]\n[belief]\nfrequency_hz = { value = 8.0, sigma = 1.0 }\n'
+        "damping = { value = 0.02, sigma = 0.01 }\n"
+        '[columns]\n"t" = { channel = "t_s" }\n"a" = { channel = "left_z_mps2", unit = "mps2" }\n'
+    )
+    assert main(["diagnose", str(tmp_path / "one.csv"), "--mapping", str(tmp_path / "ring.toml")]) == 1
+    assert "left_z_mps2 never changes: check its sensor" in capsys.readouterr().err
+
+
+def test_two_tips_of_the_same_samples_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    swing = -9.8 + np.random.default_rng(0).standard_normal(1200)
+    rows = "".join(f"{0.01 * k:.2f},{value:.4f},{value:.4f}\n" for k, value in enumerate(swing))
+    (tmp_path / "accel.csv").write_text(f"t_s,left_z_mps2,right_z_mps2\n{rows}")
+    assert main(["diagnose", str(tmp_path), "--airframe", "nadir-2m"]) == 1
+    assert "left_z and right_z are the same samples, those of one sensor" in capsys.readouterr().err
+
+
 def test_a_laboratory_s_own_table_reaches_the_model_in_si(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     t_ms = np.arange(0.0, 10_000.0, 4.0)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion.diagnosis.selection import diagnosis
+from companion.diagnosis.selection.block_bootstrap import share_gone
 from companion.diagnosis.selection.recordings import SelectionPath
 
 KICK, TONE = SimpleNamespace(key="kick"), SimpleNamespace(key="tone")
@@ -47,3 +49,9 @@ def test_beside_impulses_a_gain_is_over_a_belief_that_knows_them() -> None:
     base: Any = diagnosis._base_of_gain(recordings, later)  # type: ignore[arg-type]
     assert recordings.fitted == [["kick"]]
     assert base.near is later.stages[0]
+
+
+def test_of_nothing_held_out_nothing_is_gone() -> None:
+    assert share_gone(np.zeros(20), np.zeros(20)) == (0.0, 0.0, 0.0)
+    rare = np.array([1.0, 0.0, 0.0])  # some draws of the bootstrap hold none of it
+    assert share_gone(rare, 0.5 * rare) == pytest.approx((0.5, 0.5, 0.5))

@@ -131,6 +131,12 @@ def test_right_labels_of_few_cycles_stay(count: int) -> None:
         assert doubtful_labels(settled(speeds, speeds, 0.02, seed)) == ()
 
 
+def test_labels_of_still_air_are_not_doubted() -> None:
+    """An airspeed sensor that is not connected reads 0 in every recording."""
+    speeds = np.linspace(25.0, 33.0, 8)
+    assert doubtful_labels(settled(speeds, 0.0 * speeds, 0.02, 0)) == ()
+
+
 @pytest.mark.parametrize("which", [2, 4])
 def test_a_wrong_label_alone_goes(which: int) -> None:
     speeds = np.linspace(25.0, 33.0, 8)

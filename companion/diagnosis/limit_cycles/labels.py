@@ -175,5 +175,6 @@ def _least_absolute(design: Floats, values: Floats) -> Floats:
     for _ in range(_REWEIGHTED):
         root = np.sqrt(weight)
         coefficients = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
-        weight = 1.0 / np.maximum(np.abs(values - design @ coefficients), 1e-3 * float(np.median(np.abs(values))))
+        least = 1e-3 * (float(np.median(np.abs(values))) or 1.0)  # in still air all are 0
+        weight = 1.0 / np.maximum(np.abs(values - design @ coefficients), least)
     return np.asarray(coefficients)

@@ -20,8 +20,12 @@ def sum_with_interval(values: Floats) -> Interval:
 
 
 def share_gone(before: Floats, after: Floats) -> Interval:
-    """Share of a sum of squares over blocks (b,) that is gone, with its interval."""
-    low, high = np.percentile(1.0 - _resampled(after) / _resampled(before), _WITHIN)
+    """Share of a sum of squares over blocks (b,) that is gone, with its interval; 0 of nothing."""
+    first, second = _resampled(before), _resampled(after)
+    some = first > 0.0
+    if not some.any():
+        return 0.0, 0.0, 0.0
+    low, high = np.percentile(1.0 - second[some] / first[some], _WITHIN)
     return 1.0 - float(after.sum() / before.sum()), float(low), float(high)
 
 
