@@ -98,6 +98,19 @@ def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_caus
     assert any("measure once more with the position of run 1 after run 6" in line for line in plain["advice"])  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(
+    ("frequencies", "positions"),
+    [([9.2, 9.2, 9.2, 9.0], [0.0, 1.0, 0.0, 2.0]), ([9.2] * 4 + [9.0] * 3, [0.0, 1.0, 0.0, 1.0, 2.0, 2.1, 2.2])],
+)
+def test_positions_that_came_back_before_the_change_do_not_tell_its_cause(
+    frequencies: list[float], positions: list[float]
+) -> None:
+    verdict, plain = judge(frequencies, positions)
+    assert verdict is DiagnosisVerdict.NOT_IDENTIFIABLE
+    assert plain["causes"] == []
+    assert "for no position was measured again after the change" in str(plain["reason"])
+
+
 def test_the_same_change_is_explained_where_positions_came_back_with_their_frequency() -> None:
     verdict, plain = judge(MOVED_HZ, POSITIONS_M)
     assert verdict is DiagnosisVerdict.EXPLAINED

@@ -2,7 +2,7 @@
 
 A channel set once per run (a sensor's position, a temperature) is told from mere run order only where a value was left
 and came back: then runs of equal value must agree if it is the cause, whenever they were made. A channel none of whose
-values came back goes hand in hand with run order, whatever its numbers are.
+values came back, or all at one frequency, goes hand in hand with run order, whatever its numbers are.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 CHANGED_Z = 5.0
 """Standard deviations of one run's frequency from which a change is no chance (choice)."""
@@ -36,7 +36,7 @@ class Channel:
     levels : tuple of int
         Number of the distinct value that each run has, (runs,).
     agree_z : float or None
-        Distance of the frequencies of equal levels from agreement; None where no value came back.
+        Distance of the frequencies of equal levels from agreement; None where no values came back that saw a change.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Channel:
 
     @property
     def came_back(self) -> bool:
-        """Whether a value was left and returned to."""
+        """Whether values were left and returned to, and not all of them at one frequency."""
         return self.agree_z is not None
 
 
@@ -133,7 +133,10 @@ def _end_of_steady(f_hz: Floats, sigma: Floats) -> int:
 
 def _channel(name: str, values: Sequence[float], mode: ModeOverRuns) -> Channel:
     levels = _levels(values)
-    return Channel(name, levels, disagreement_within(mode, levels) if _came_back(levels) else None)
+    again = np.flatnonzero(_came_back(levels))
+    # values that came back within the unchanged part say nothing of the change
+    told_apart = disagreement(mode.frequency_hz[again], mode.sigma_hz[again]) >= CHANGED_Z
+    return Channel(name, levels, disagreement_within(mode, levels) if told_apart else None)
 
 
 def _levels(values: Sequence[float]) -> tuple[int, ...]:
@@ -145,7 +148,7 @@ def _levels(values: Sequence[float]) -> tuple[int, ...]:
     return tuple(levels.tolist())
 
 
-def _came_back(levels: Sequence[int]) -> bool:
-    """Whether a value was left and taken again later."""
+def _came_back(levels: Sequence[int]) -> Bools:
+    """Which runs have a value that was left and taken again, (runs,)."""
     segments = [level for level, _ in itertools.groupby(levels)]
-    return len(segments) > len(set(segments))
+    return np.array([segments.count(level) > 1 for level in levels])

@@ -79,7 +79,7 @@ def _confounded_in_words(changed: ChangedMode) -> str:
     orders = " and ".join(["run order", *names])
     returned = [_plainly(channel.name) for channel in changed.channels if channel.came_back]
     alone = f"; {' and '.join(returned)} came back and the frequency did not, so alone that is not it"
-    confounded = f"{orders} are confounded, for no {' and no '.join(names)} was measured again later"
+    confounded = f"{orders} are confounded, for no {' and no '.join(names)} was measured again after the change"
     return confounded + (alone if returned else "")
 
 
