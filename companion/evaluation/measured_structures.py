@@ -226,6 +226,10 @@ def _print_findings(plain: dict[str, Any]) -> None:
             print(f"    {name} = {entry['value']:.5g} ± {entry['sigma']:.2g} {entry['unit']} ({entry['meaning']})")
         if cause["gain"]:
             print(f"    {error_line(cause['gain'])}")
+    if plain.get("linear"):
+        m, c, k, f_hz, zeta = plain["linear"]["after"].values()
+        units = f"mass {m:.5g}, damping {c:.5g}, stiffness {k:.5g} in the recording's units"
+        print(f"  linear part: {units}; {f_hz:.4g} Hz, damping ratio {zeta:.4g}")
     if plain.get("onset"):
         print(f"  onset: {plain['onset']['says']}")
     for entry in plain.get("held_out_speeds", []):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -73,15 +74,31 @@ def test_a_linear_oscillator_gets_no_name(seed: int) -> None:
     assert plain["linear"]["before"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
 
 
-def test_the_command_reads_it_through_a_mapping(hardening: ForcedRecording, tmp_path: Path) -> None:
+def test_the_command_reads_it_through_a_mapping(
+    hardening: ForcedRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     table = np.stack([hardening.t_s, hardening.force, hardening.response], 1)
     np.savetxt(tmp_path / "run.csv", table, "%.9g", ",", header="time_s,force_n,deflection_m", comments="")
     out = tmp_path / "found.json"
     page = tmp_path / "page.html"
     arguments = ["--mapping", "forced-oscillator", "--json", str(out), "--html", str(page)]
     assert main(["diagnose", str(tmp_path / "run.csv"), *arguments]) == 0
+    assert "linear part: mass" in capsys.readouterr().out
     assert json.loads(out.read_text())["causes"][0]["name"] == "cubic-stiffness"
     assert "cubic-stiffness" in page.read_text()
+
+
+def test_a_force_of_the_wrong_sign_is_refused(hardening: ForcedRecording) -> None:
+    turned = dataclasses.replace(hardening, force=-hardening.force)
+    with pytest.raises(RecordingError, match="force and response have opposite signs"):
+        diagnose_forced([turned], BAND_HZ, 3, lambda _what, _ratio: None)
+
+
+def test_a_negative_damping_is_noted(hardening: ForcedRecording) -> None:
+    """Backward in time a damper drives."""
+    backward = dataclasses.replace(hardening, force=hardening.force[::-1], response=hardening.response[::-1])
+    plain = as_json(diagnose_forced([backward], BAND_HZ, 0, lambda _what, _ratio: None))
+    assert any(note.startswith("damping comes out negative") for note in plain["notes"])
 
 
 def test_too_short_a_recording_says_so() -> None:

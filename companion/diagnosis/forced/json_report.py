@@ -36,7 +36,10 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
         ],
         "linear": {name: _linear(diagnosis, extended) for name, extended in (("before", False), ("after", True))},
         "airframe_parameters": [],
-        "notes": [],
+        "notes": [
+            f"{name} comes out negative, which no passive structure has: check which force and response were recorded"
+            for name in diagnosis.negative()
+        ],
     }
 
 

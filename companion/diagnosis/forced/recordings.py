@@ -38,6 +38,7 @@ _EDGE = 0.02  # of a recording, at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
+_SURE = 5.0  # sigmas from which a sign is no chance (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
@@ -78,6 +79,11 @@ class ForcedDiagnosis:
         fitted = self.outcome.final if extended else self.outcome.null
         return np.array([fitted.value(name)[0] for name in _LINEAR]) / self.scale[:3]
 
+    def negative(self) -> list[str]:
+        """Which of mass, damping and stiffness lie below 0 beyond chance."""
+        fitted = self.outcome.final
+        return [name for name in _LINEAR if fitted.value(name)[0] < -_SURE * fitted.value(name)[1]]
+
 
 _LINEAR = ("mass", "damping", "stiffness")
 
@@ -90,7 +96,7 @@ def diagnose_forced(
     Raises
     ------
     RecordingError
-        A segment holds too few frequencies of the band.
+        A segment holds too few frequencies of the band, or force and response have opposite signs.
     """
     tables, blocks, omegas = [], [], []
     pieces = max(_SEGMENTS // len(recordings), 2)
@@ -120,8 +126,12 @@ def diagnose_forced(
         RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
     ]
-    outcome = diagnose(Regressions([response], terms), most, progress)
-    return ForcedDiagnosis(outcome, tuple(recordings), scale)
+    diagnosis = ForcedDiagnosis(diagnose(Regressions([response], terms), most, progress), tuple(recordings), scale)
+    if {"mass", "stiffness"} <= set(diagnosis.negative()):
+        raise RecordingError(
+            "mass and stiffness come out negative: force and response have opposite signs; turn one in the mapping"
+        )
+    return diagnosis
 
 
 def _segments(
