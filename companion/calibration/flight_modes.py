@@ -20,6 +20,7 @@ _RATE_HZ = 200.0  # twice the band and more (choice)
 _LEAST_BAND_HZ = 1.0  # chosen: sixteen lines of the spectrum of correlations over four seconds
 _TAPS = 129  # chosen: taps of the anti-alias low-pass: steep enough for 0.8 of the new Nyquist rate
 _LEAST_S = 20.0  # a hundred periods of 5 Hz (choice)
+_LEAST_RMS = 0.25  # of the other tip's: gusts move either side of a wing (choice)
 _GAP_NS = 200_000_000  # chosen: one period at 5 Hz; across a longer one a mode is not interpolated
 
 
@@ -59,7 +60,7 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
     Raises
     ------
     RecordingError
-        A station sent nothing, or there is no segment of 20 s that all three share.
+        A station sent nothing, there is no segment of 20 s that all three share, or a tip hardly moves.
     """
     streams = station_samples(records, hub)
     for station in Station:
@@ -73,12 +74,22 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
         )
     grid = np.arange(first, last, round(1e9 / _RATE_HZ))
     root, left, right = (_on_grid(*streams[station], grid) for station in Station)
+    _both_move(left[:, _VERTICAL], right[:, _VERTICAL])
     roll_rate = root[:, 3]
     roll_accel = np.gradient(roll_rate, 1.0 / _RATE_HZ)
     span = 0.5 * (airframe.right.position_m[1] - airframe.left.position_m[1])
     up_left, up_right = -left[:, _VERTICAL], -right[:, _VERTICAL]
     symmetric = 0.5 * (up_left + up_right) + root[:, _VERTICAL]
     return WingMotion(_RATE_HZ, symmetric, 0.5 * (up_right - up_left) + roll_accel * span)
+
+
+def _both_move(left: Floats, right: Floats) -> None:
+    """Refuse a tip that hardly moves: of the other one alone both families would have its modes."""
+    (less, quiet), (more, loud) = sorted([(float(left.std()), "left"), (float(right.std()), "right")])
+    if less < _LEAST_RMS * more:
+        raise RecordingError(
+            f"{quiet}_z moves by {less:.3g} m/s^2 rms, {loud}_z by {more:.3g}: check the sensor of the {quiet} tip"
+        )
 
 
 def station_samples(records: Iterable[Record], hub: ClockName) -> dict[Station, tuple[Ints, Floats]]:

@@ -157,10 +157,12 @@ def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
         print(f"not both families show a mode: no airframe written; {beside}")
         return NOTHING_TO_ESTIMATE
     wing = into.wing
+    first, second = modes["symmetric"][0], modes["antisymmetric"][0]
+    apart_hz = abs(first.frequency_hz - second.frequency_hz)
+    if apart_hz < math.hypot(first.frequency_sigma_hz, second.frequency_sigma_hz):
+        print(f"note: both families show {first.frequency_hz:.2f} Hz: is each tip's channel from a sensor on that tip?")
     bent = dataclasses.replace(
-        wing,
-        symmetric=_with(wing.symmetric, modes["symmetric"][0]),
-        antisymmetric=_with(wing.antisymmetric, modes["antisymmetric"][0]),
+        wing, symmetric=_with(wing.symmetric, first), antisymmetric=_with(wing.antisymmetric, second)
     )
     _write(dataclasses.replace(into, wing=bent), options.out)
     return 0

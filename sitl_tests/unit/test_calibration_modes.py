@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from companion.calibration.ambient import ambient_modes
-from companion.calibration.flight_modes import WingMotion, _shared
+from companion.calibration.ambient import AmbientMode, ambient_modes
+from companion.calibration.flight_modes import WingMotion, _shared, wing_motion
 from companion.calibration.modes import FrequencyResponse, IdentifiedMode, assurance, identify_runs, residues
 from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response, read_vibration_test
@@ -22,7 +22,7 @@ from companion.cli import identify
 from companion.cli.main import main
 from companion.errors import ConfigError, SpanwiseError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
-from companion.records import Station
+from companion.records import Axis, ClockName, ImuBatch, Station
 
 SPANS_M = (0.4, 0.6, 0.8, 1.0, 1.2)
 CHORD_M = 0.12
@@ -334,6 +334,32 @@ def test_the_longest_segment_holds_no_gap_of_any_station() -> None:
     assert np.array(_shared(nested)) == pytest.approx([40.0 * second, 59.99 * second])
     early = {Station.ROOT: without((5.0, 30.0)), Station.LEFT: without((-1.0, 8.0)), Station.RIGHT: without()}
     assert np.array(_shared(early)) == pytest.approx([30.0 * second, 59.99 * second])
+
+
+def test_a_tip_that_does_not_move_is_refused() -> None:
+    """Half of the other tip's motion is in either family then."""
+    t_ns = np.arange(0, 30_000_000_000, 5_000_000)
+    values = np.random.default_rng(0).standard_normal((len(t_ns), 6))
+    still = np.full_like(values, -9.8)
+    batches = [
+        ImuBatch(station, ClockName.HOST, t_ns, still if station is Station.RIGHT else values, Axis.Z, 0)
+        for station in Station
+    ]
+    with pytest.raises(SpanwiseError, match="check the sensor of the right tip"):
+        wing_motion(batches, load_airframe("nadir-2m"), ClockName.HOST)
+
+
+def test_families_of_one_frequency_are_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mode = AmbientMode(5.1, 0.02, 0.03, 0.005, 6)
+    twins = SimpleNamespace(modes=lambda _: {"symmetric": [mode], "antisymmetric": [mode]})
+    recording = SimpleNamespace(airframe=load_airframe("nadir-2m"), records=list, hub=None)
+    monkeypatch.setattr(identify, "open_recording", lambda *_: recording)
+    monkeypatch.setattr(identify, "wing_motion", lambda *_: twins)
+    monkeypatch.setattr(identify, "draw_flight", lambda *_: None)
+    assert main(["identify", "flight", "flight.mcap", "--out", str(tmp_path)]) == 0
+    assert "note: both families show 5.10 Hz" in capsys.readouterr().out
 
 
 def test_files_of_a_flight_without_modes_are_named(
