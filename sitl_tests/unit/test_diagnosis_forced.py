@@ -20,7 +20,7 @@ BAND_HZ = (5.0, 190.0)
 REST_HZ, ZETA, LEVEL = 68.0, 0.025, 0.03
 
 
-def driven(seed: int, cubic: float, noise: float = 1e-4) -> ForcedRecording:
+def driven(seed: int, cubic: float, noise: float = 1e-4, drag: float = 0.0) -> ForcedRecording:
     """Unit stiffness under band-limited noise, Runge and Kutta at eight times the rate."""
     rng = np.random.default_rng(seed)
     spectrum = np.fft.rfft(rng.standard_normal(COUNT))
@@ -31,7 +31,7 @@ def driven(seed: int, cubic: float, noise: float = 1e-4) -> ForcedRecording:
     omega, h = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * FINER)
 
     def acceleration(q: float, v: float, u: float) -> float:
-        return float((u - q - cubic * q**3) * omega**2 - 2.0 * ZETA * omega * v)
+        return float((u - q - cubic * q**3 - drag * abs(v) * v) * omega**2 - 2.0 * ZETA * omega * v)
 
     q = v = 0.0
     shown = np.empty(COUNT)
@@ -72,6 +72,25 @@ def test_a_linear_oscillator_gets_no_name(seed: int) -> None:
     assert plain["verdict"] == "adequate"
     assert plain["causes"] == []
     assert plain["linear"]["before"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
+
+
+@pytest.mark.parametrize("ratio", [0.005, 0.05])
+def test_noise_of_the_force_is_no_law(hardening: ForcedRecording, ratio: float) -> None:
+    """The response alone was taken for noisy, which gave the resonance too much weight."""
+    for entry, verdict in ((driven(2, 0.0), "adequate"), (hardening, "explained")):
+        noise = ratio * entry.force.std() * np.random.default_rng(9).standard_normal(COUNT)
+        noisy = dataclasses.replace(entry, force=entry.force + noise)
+        plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
+        assert plain["verdict"] == verdict
+
+
+def test_a_damper_of_squared_speed_is_explained() -> None:
+    plain = as_json(diagnose_forced([driven(4, 0.0, 1e-3, drag=1e-4)], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert plain["verdict"] == "explained"
+    (cause,) = plain["causes"]
+    assert cause["name"] == "quadratic-damping"
+    coefficient = cause["parameters"]["coefficient"]
+    assert abs(coefficient["value"] - 1e-4) < 4.0 * coefficient["sigma"]
 
 
 def test_the_command_reads_it_through_a_mapping(

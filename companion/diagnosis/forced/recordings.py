@@ -4,12 +4,15 @@
 
 is linear in everything unknown. It is written in the frequency domain, segment by segment: derivatives and laws are
 made of the whole recording in time, then cut, tapered and transformed. Its error is the measured response's times
-D + s(t), D = k + j omega c - omega^2 m, s the slope of the laws: (|D + mean s|^2 + var s)^1/2 (after Sanathanan and
-Koerner). Deflection counts from the recording's own zero: a cube about another zero has a square.
+D + s(t) + j omega z(t), D = k + j omega c - omega^2 m, s and z the slopes of the laws over deflection and speed, and
+that of the force, alike at all frequencies: (|D + mean s + j omega mean z|^2 + var s + omega^2 var z + rho^2)^1/2
+(after Sanathanan and Koerner), rho by profile likelihood. Deflection counts from the recording's own zero: a cube about
+another zero has a square.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +40,7 @@ _LEAST_BINS = 8  # chosen: of the band in a segment: more than the parameters of
 _EDGE = 0.02  # of a recording, at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)
+_FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # by the response's mean, each 1.26 times the last (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
 _SURE = 5.0  # sigmas from which a sign is no chance (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
@@ -48,12 +52,10 @@ LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
 }
 
 
-_SLOPES: tuple[Callable[[Floats], Floats], ...] = (
-    lambda q: 3.0 * q**2,
-    lambda q: 2.0 * q,
-    np.zeros_like,
-    np.zeros_like,
-)  # of the laws over deflection
+def _slopes(q: Floats, v: Floats) -> Floats:
+    """Slopes of the laws over deflection and speed (n,), (2, laws, n); of a sign that of the line nearest to it."""
+    none, jump = np.zeros_like(q), math.sqrt(2.0 / math.pi) / float(v.std())
+    return np.stack([[3.0 * q**2, 2.0 * q, none, none], [none, none, 2.0 * np.abs(v), np.full_like(q, jump)]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +100,12 @@ def diagnose_forced(
     RecordingError
         A segment holds too few frequencies of the band, or force and response have opposite signs.
     """
-    tables, blocks, omegas = [], [], []
+    tables, blocks, omegas, motions = [], [], [], []
     pieces = max(_SEGMENTS // len(recordings), 2)
     for k, entry in enumerate(recordings):
-        for i, (table, omega) in enumerate(_segments(entry, band_hz, pieces)):
+        rate_hz, series = _series(entry, band_hz)
+        motions.append(np.stack([series[3], series[2]]))
+        for i, (table, omega) in enumerate(_segments(entry.name, rate_hz, series, band_hz, pieces)):
             tables.append(table)
             omegas.append(omega)
             blocks.append(np.full(2 * len(omega), float(k * pieces + i)))
@@ -110,8 +114,7 @@ def diagnose_forced(
     force, columns = rows[0], rows[1:]
     scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
     columns = columns / scale[:, None]
-    slopes = np.stack([slope(np.concatenate([entry.response for entry in recordings])) for slope in _SLOPES])
-    weight = _weight(force, columns, omega, scale, slopes)
+    weight = _weight(force, columns, omega, scale, _slopes(*np.concatenate(motions, axis=1)))
     block = np.concatenate(blocks)
     linear = tuple(
         Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
@@ -134,10 +137,8 @@ def diagnose_forced(
     return diagnosis
 
 
-def _segments(
-    entry: ForcedRecording, band_hz: tuple[float, float], pieces: int
-) -> list[tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], Floats]]:
-    """Force, acceleration, speed, deflection and laws (1 + 3 + laws, f) of each segment in the band, and omega (f,)."""
+def _series(entry: ForcedRecording, band_hz: tuple[float, float]) -> tuple[float, list[Floats]]:
+    """Rate, and force, acceleration, speed, deflection and laws over time, (n,) each."""
     count = len(entry.t_s)
     rate_hz = (count - 1) / float(entry.t_s[-1] - entry.t_s[0])
     even_s = entry.t_s[0] + np.arange(count) / rate_hz
@@ -148,14 +149,20 @@ def _segments(
     deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
     fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
     laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
-    series = [force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
-    segments = []
+    return rate_hz, [force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
+
+
+def _segments(
+    name: str, rate_hz: float, series: Sequence[Floats], band_hz: tuple[float, float], pieces: int
+) -> list[tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], Floats]]:
+    """All series (s, f) of each segment in the band, and omega (f,)."""
+    segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), pieces):
         part_hz = np.fft.rfftfreq(len(index), 1.0 / rate_hz)
         inside = (part_hz > band_hz[0]) & (part_hz < band_hz[1])
         if inside.sum() < _LEAST_BINS:
-            raise RecordingError(f"{entry.name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
+            raise RecordingError(f"{name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
         taper = np.hanning(len(index))
         rows = np.stack([np.fft.rfft(taper * values[index])[inside] / np.sqrt(len(index)) for values in series])
         segments.append((rows, np.asarray(2.0 * np.pi * part_hz[inside])))
@@ -163,11 +170,21 @@ def _segments(
 
 
 def _weight(force: Floats, columns: Floats, omega: Floats, scale: Floats, slopes: Floats) -> Floats:
-    """Relative standard deviation of each row, (n,); ``slopes`` (laws, samples) of the laws over deflection."""
+    """Relative standard deviation of each row, (n,); ``slopes`` (2, laws, samples) over deflection and over speed."""
     weight = np.ones(len(force))
     for _ in range(_PASSES):
-        m, c, k, *laws = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] / scale
-        slope = np.array(laws) @ slopes
-        dynamic = np.hypot(np.abs(k + slope.mean() - omega**2 * m + 1j * omega * c), slope.std())
-        weight = dynamic / float(dynamic.mean())
-    return np.asarray(weight)
+        values = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0]
+        m, c, k, *laws = values / scale
+        stiff, damp = np.array(laws) @ slopes
+        mean = k + stiff.mean() - omega**2 * m + 1j * omega * (c + damp.mean())
+        dynamic = np.sqrt(np.abs(mean) ** 2 + stiff.var() + omega**2 * damp.var())
+        weight = _beside_noise_of_force(dynamic / float(dynamic.mean()), force - values @ columns)
+    return weight
+
+
+def _beside_noise_of_force(weight: Floats, residual: Floats) -> Floats:
+    """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) most likely."""
+    together = [np.hypot(weight, ratio) for ratio in _FORCE_NOISES]
+    each = [-0.5 * len(residual) * np.log(np.mean((residual / w) ** 2)) - np.log(w).sum() for w in together]
+    best = together[int(np.argmax(each))]
+    return np.asarray(best / best.mean())
