@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,8 +13,9 @@ from scipy.linalg import expm
 
 from companion.diagnosis.free_decay import kalman
 from companion.diagnosis.free_decay.adequacy import Whitened, judged
-from companion.diagnosis.free_decay.json_report import as_json
+from companion.diagnosis.free_decay.json_report import as_json, name_of
 from companion.diagnosis.free_decay.kalman import Modes, run
+from companion.diagnosis.free_decay.laws import laws_for
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
 from companion.diagnosis.free_decay.recordings import diagnose
 from companion.diagnosis.free_decay.views import backbone
@@ -169,6 +173,16 @@ def test_a_frequency_that_follows_a_channel_far_is_named_and_a_drift_is_not() ->
     assert low - 0.002 < 9.0 * 0.7 * rms / at_mean < high + 0.002
     assert cause["gain"]["share_of_square_gone"] > 0.8
     assert "frequency-drift" not in [entry["name"] for entry in plain["causes"]]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("exponent", "name"),
+    [(0.7, "quadratic-damping"), (-0.99, "coulomb-friction"), (0.4, "damping follows the amplitude")],
+)
+def test_a_damping_law_is_named_by_its_exponent(exponent: float, name: str) -> None:
+    (law,) = (entry for entry in laws_for([]) if entry.name == "quadratic-damping")
+    fitted: Any = SimpleNamespace(final=SimpleNamespace(value=lambda _key: (exponent, 0.01)))
+    assert name_of(law, fitted) == name
 
 
 @pytest.mark.long

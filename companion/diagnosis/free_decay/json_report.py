@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.modes.close_mode import CloseMode
 from companion.core.wing.effects.modes.second_mode import SecondMode
@@ -25,6 +26,7 @@ from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.score_tests import Candidate
 
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close (choice)
+_EXPONENT_NEAR = 0.5  # chosen: of a damping law's exponent: nearer to that of the pure law than to no dependence
 _ADVICE = {
     CovariateFrequency.name: "vary the channel independently of time and of the other channels",
     FrequencyDrift.name: "a drift in time has a cause that can be measured: record temperature and settings",
@@ -32,7 +34,13 @@ _ADVICE = {
     SecondMode.name: "a sensor where only one of the two modes moves tells them apart",
     CubicStiffness.name: "record decays from several amplitudes",
     QuadraticDamping.name: "record decays from several amplitudes",
+    CoulombFriction.name: "record decays from several amplitudes, and look for what rubs or is loose",
 }
+
+_KNOCKS = (
+    "nobody measured the knocks: what is left over without a name may be their shape, of a linear structure, too; "
+    "see by how much the held-out error falls"
+)
 
 
 def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
@@ -57,16 +65,22 @@ def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe
         "screening": [_screened(diagnosis, entry) for entry in screened],
         "modes": _modes(diagnosis, scales),
         "airframe_parameters": _believed(diagnosis),
-        "notes": [note for record in recordings for note in record.notes],
+        "notes": [*(note for record in recordings for note in record.notes), *([_KNOCKS] if unexplained else [])],
     }
 
 
 def name_of(term: Extension, diagnosis: FreeDecayDiagnosis) -> str:
-    """Name of an accepted law; of a second mode by how near it comes to the first."""
+    """Name of an accepted law; of a second mode by how near it comes to the first, of damping by its exponent."""
     if isinstance(term, Law):
-        return term.name
+        return _damping_name(term, diagnosis) if term.effect == QuadraticDamping.name else term.name
     apart = min(abs(pair["second_hz"] / pair["first_hz"] - 1.0) for pair in _pairs(diagnosis))
     return CloseMode.name if apart < _CLOSE else SecondMode.name
+
+
+def _damping_name(law: Law, diagnosis: FreeDecayDiagnosis) -> str:
+    exponent, _ = diagnosis.final.value(key_of(law))
+    names = {1.0: QuadraticDamping.name, -1.0: CoulombFriction.name}  # derived: of the damping ratio over amplitude
+    return next((name for exact, name in names.items() if abs(exponent - exact) < _EXPONENT_NEAR), law.key)
 
 
 def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:

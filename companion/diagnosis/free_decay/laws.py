@@ -175,7 +175,7 @@ def _quadratic() -> Law:
         lambda record: np.log(0.1 + record.amplitude),
         "log_ratio_per_log_amplitude",
         "",
-        "exponent with which the damping ratio grows with the amplitude (1: force with speed squared)",
+        "exponent with which the damping ratio grows with the amplitude (1: force with speed squared, -1: friction)",
         0.5,
         (0.0,),
     )
