@@ -165,6 +165,27 @@ def test_a_wrong_airspeed_is_told_from_growth_and_decay(which: int, says: float)
     assert judged([*tracks_of(speeds, start, 9), *cycles]).doubts == ()
 
 
+def test_a_decay_into_the_noise_leaves_nothing_over() -> None:
+    """The error of a frequency goes with the inverse of the amplitude, down to the noise floor."""
+    rng = np.random.default_rng(12)
+    a = np.geomspace(1.0, 0.002, 60)
+    tracks = [
+        VibrationTrack(
+            f"run{k}",
+            None,
+            np.arange(60.0),
+            2.4 + 1e-4 / np.minimum(a, 0.3) * rng.standard_normal(60),
+            -0.1 + 1e-3 / np.minimum(a, 0.3) * rng.standard_normal(60),
+            {"heave": a},
+            a > 2.0,
+        )
+        for k in range(4)
+    ]
+    plain = as_json(judged(tracks))
+    assert plain["verdict"] == "adequate"
+    assert not plain["notes"]
+
+
 def test_a_linear_wing_that_decays_gets_no_name() -> None:
     speeds = np.array([12.0, 13.0, 14.0, 15.0, 16.0])
     diagnosis = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))

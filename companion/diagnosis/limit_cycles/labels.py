@@ -23,7 +23,7 @@ _DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
 _REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
 SMALL = 0.35
 """Amplitude as a ratio of the largest below which a vibration is on its way (choice)."""
-NOISY = (0.02, 0.3)
+NOISY = (1e-4, 0.3)
 """Ratios of the largest amplitude: between them a window's error grows with the inverse, else its change (choice)."""
 _FEWEST_WINDOWS = 3  # of a recording that is judged by its growth (choice)
 _FEWEST_GROWING = 3  # recordings, which can judge a fourth (choice)
