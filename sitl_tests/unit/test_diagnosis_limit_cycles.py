@@ -186,6 +186,17 @@ def test_a_decay_into_the_noise_leaves_nothing_over() -> None:
     assert not plain["notes"]
 
 
+@pytest.mark.parametrize("says", [12.0, 0.0])
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_spring_is_explained_at_one_airspeed(count: int, says: float) -> None:
+    """Recordings are held out there, or windows of few: of one airspeed nothing was."""
+    speeds = np.full(count, 12.0)
+    tracks = tracks_of(speeds, np.linspace(0.2, 0.1, count), 13, np.full(count, says), limiting=0.0)
+    plain = as_json(judged(tracks))
+    assert "cubic-stiffness" in [cause["name"] for cause in plain["causes"]]
+    assert plain["verdict"] == "explained", plain["reason"]
+
+
 def test_a_linear_wing_that_decays_gets_no_name() -> None:
     speeds = np.array([12.0, 13.0, 14.0, 15.0, 16.0])
     diagnosis = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))

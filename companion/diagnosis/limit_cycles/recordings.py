@@ -39,6 +39,7 @@ FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
 CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
 _FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed (choice)
 _FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping (choice)
+_FEWEST_RECORDINGS = 3  # at one airspeed: of two the smaller does not foretell the larger (choice)
 _SLOWEST_MPS = 0.1  # below, the air does nothing (choice)
 _PER = " per rms of the airspeed"
 _TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
@@ -141,6 +142,14 @@ def _rows(number: int, entry: VibrationTrack) -> list[Row]:
     return rows
 
 
+def _blocks(rows: Sequence[Row], speeds: Floats) -> Floats:
+    """Rows that are held out together, (n,): of an airspeed; of a recording where there is one; of few, each other."""
+    recording = np.array([row.recording for row in rows], dtype=np.float64)
+    if np.ptp(speeds) > 0.0:
+        return speeds
+    return recording if len(set(recording)) >= _FEWEST_RECORDINGS else np.asarray(np.arange(len(rows)) % 2 + 0.0)
+
+
 def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regressions:
     amplitude = np.array([row.amplitude for row in rows])
     relative = amplitude / amplitude.max(axis=0)
@@ -149,10 +158,8 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
     scale: Floats = np.where(cycle, 1.0, 1.0 / np.clip(relative[:, 0], *NOISY))
     group = np.asarray(cycle & (cycle.sum() >= _FEWEST_CYCLES)).astype(np.int64)
     square = f_hz**2
-    level = float(np.median(square))
-    responses = [
-        RegressionResponse(FREQUENCY, square, scale, group, speeds, relative[:, 0], level, level, 0.05 * level)
-    ]
+    level, block = float(np.median(square)), _blocks(rows, speeds)
+    responses = [RegressionResponse(FREQUENCY, square, scale, group, block, relative[:, 0], level, level, 0.05 * level)]
     terms = [_stiffness(name, relative[:, i], level) for i, name in enumerate(names)]
     if np.ptp(speeds) > 0.0:
         terms.append(
@@ -162,7 +169,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
     if way.sum() >= _FEWEST_WINDOWS:
         a, inside, alike = relative[way, 0], _inside_cycle(relative[:, 0], v, cycle)[way], np.zeros_like(group[way])
         noise = np.asarray(scale[way], dtype=np.float64)
-        responses.append(RegressionResponse(DAMPING, zeta[way], noise, alike, speeds[way], a, 0.0, 0.05, 0.01))
+        responses.append(RegressionResponse(DAMPING, zeta[way], noise, alike, block[way], a, 0.0, 0.05, 0.01))
         terms.append(_damping(names[0], a, inside))
         if np.ptp(speeds[way]) > 0.0:
             column = v[way] * inside
