@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 FAR_M = 60  # convention: the far target of the paper, for which its Table 4 is computed
+_FAR_SIGMAS = 1.5  # of the prior: an airframe file's value is worth writing anew (choice)
+_IDENTIFIED = [f"{family}.{name}" for family in ("symmetric", "antisymmetric") for name in ("frequency", "damping")]
 _LEAST_SHARE = 0.05  # of the range error: less is not worth a flight (choice)
 _LEAST_M = 0.05  # chosen: a gain of less is no reason to change an airframe file
 
@@ -27,7 +30,9 @@ def summary_sentences(plain: dict[str, Any], tones: list[str]) -> dict[str, str]
 
 def _cause(plain: dict[str, Any]) -> str:
     if plain["verdict"] == "adequate":
-        return "Nothing is wrong that this recording could show: the believed airframe explains it."
+        far = _far_off(plain)
+        beside = f", with {' and '.join(far)}, which the file's sigmas allow" if far else ""
+        return f"The believed airframe explains this recording within what was believed of it{beside}."
     if plain["verdict"] == "explained":
         return f"The simulation lacks {' and '.join(map(_named, plain['causes']))}."
     if plain["verdict"] == "not-identifiable":
@@ -35,6 +40,15 @@ def _cause(plain: dict[str, Any]) -> str:
     near = " and ".join(map(_named, plain["nearest_causes"]))
     nearest = f" Nearest in the catalogue, but not it or not all of it: {near}." if near else ""
     return f"The simulation is wrong here, and no effect of the catalogue explains it.{nearest}"
+
+
+def _far_off(plain: dict[str, Any]) -> list[str]:
+    """Frequencies and dampings that an identification would write and that lie far off in their priors."""
+    return [
+        f"{entry['name']} {100.0 * math.expm1(entry['deviation']):+.0f} % ({away:.1f} sigmas)"
+        for entry in plain.get("airframe_parameters", [])
+        if entry["name"] in _IDENTIFIED and (away := abs(entry["prior_sigmas_away"])) > _FAR_SIGMAS
+    ]
 
 
 def _named(cause: dict[str, Any]) -> str:
@@ -65,7 +79,7 @@ def _far(plain: dict[str, Any]) -> tuple[float, float] | None:
 def _worth(plain: dict[str, Any]) -> str:
     pair = _far(plain)
     if plain["verdict"] == "adequate":
-        return "There is nothing to gain."
+        return "No effect that has a name would gain anything."
     if pair is None:
         return "No image matches were held out here, so that it cannot be told what it is worth in metres."
     before, after = pair
@@ -80,7 +94,8 @@ def _worth(plain: dict[str, Any]) -> str:
 
 def _next(plain: dict[str, Any]) -> str:
     if plain["verdict"] == "adequate":
-        return "Fly on."
+        rewrite = "Write them with `spanwise identify flight`: the tracker begins with the file's."
+        return rewrite if _far_off(plain) else "Fly on."
     causes = plain["causes"] or plain["nearest_causes"]
     advice = "; ".join(dict.fromkeys(cause["advice"] for cause in causes if cause["advice"]))
     apart = [cause["name"] for cause in causes if cause["group"]]

@@ -72,6 +72,19 @@ def test_an_adequate_recording_asks_for_nothing() -> None:
     assert "7.3 Hz" not in sentences["cause"]
 
 
+def test_a_frequency_far_off_in_its_prior_is_told_where_nothing_is_named() -> None:
+    rows = [
+        {"name": name, "deviation": np.log(ratio), "prior_sigmas_away": away}
+        for name, ratio, away in (
+            ("symmetric.frequency", 0.85, -2.1), ("antisymmetric.frequency", 1.02, 0.3), ("left.noise", 9.0, 2.5)
+        )
+    ]  # fmt: skip
+    sentences = summary_sentences(diagnosed("adequate", None, airframe_parameters=rows), [])
+    assert "with symmetric.frequency -15 % (2.1 sigmas), which" in sentences["cause"]
+    assert "spanwise identify flight" in sentences["next"]
+    assert "Fly on" not in sentences["next"]
+
+
 def test_a_steady_tone_is_named_where_no_effect_explains_the_recording() -> None:
     sentences = summary_sentences(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
     assert "left 7.306 Hz, 3.98 m/s^2" in sentences["cause"]
