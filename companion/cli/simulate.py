@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 from pathlib import Path
 
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import flight_seconds, seed
 from companion.cli.steps.options import make_folder
-from companion.core.wing.effects import catalogue
+from companion.core.wing.effects import apply_to_airframe, catalogue
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import load_airframe
@@ -56,11 +57,14 @@ def execute(options: argparse.Namespace) -> int:
         gust=GustKind(options.gust),
         perturbed=not options.exact,
     )
-    wing = flight.real.actual.wing
+    # with what the airframe itself says, and without what is hidden from it
+    wing = apply_to_airframe(dataclasses.replace(flight.real.actual, effects=airframe.effects)).wing
+    stated = "".join(f"; airframe's effect: {effect.name} {effect.parameters}" for effect in airframe.effects)
     hidden = ", ".join(f"{effect.name} {effect.parameters}" for effect in effects) or "nothing"
     flown = (
         f"flew {options.duration:g} s of {airframe.name}, seed {options.seed}: "
-        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}"
+        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}"
+        f"{stated}; hidden: {hidden}"
     )
     make_folder(options.out)
     (options.out / _MARK).write_text(f"spanwise simulate {flown}\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from companion.cli.main import main
 from companion.cli.run import _recorded, _recordings
 from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
+from companion.params.airframe import NamedEffect
 from companion.params.files import dump_airframe, load_airframe
 
 
@@ -143,6 +145,19 @@ def test_ranges_of_an_earlier_flight_do_not_stay_beside_a_flight_without_cameras
     for name in ("nadir-2m", "sitl-plane"):
         assert main(["simulate", "--airframe", name, "--duration", "2", "--out", str(tmp_path)]) == 0
     assert not (tmp_path / "range.csv").exists()
+
+
+def test_a_simulated_flight_tells_the_effects_of_its_airframe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = load_airframe("nadir-2m")
+    changed = dataclasses.replace(base, effects=(NamedEffect("frequency-shift", {"ratio": -0.2}),))
+    (tmp_path / "soft.toml").write_text(dump_airframe(changed))
+    words = ["simulate", "--exact", "--airframe", str(tmp_path / "soft.toml"), "--duration", "2"]
+    assert main([*words, "--out", str(tmp_path / "flown")]) == 0
+    flown = capsys.readouterr().out
+    assert f" {0.8 * base.wing.symmetric.frequency_hz.value:.3f} Hz" in flown
+    assert "airframe's effect: frequency-shift {'ratio': -0.2}; hidden: nothing" in flown
 
 
 def test_a_simulated_flight_does_not_replace_what_was_measured(
