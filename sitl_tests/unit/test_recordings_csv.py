@@ -253,6 +253,12 @@ def test_a_vertical_axis_that_points_up_is_refused_with_what_it_should_read(tmp_
         level(tmp_path, "t_s,left_z_mps2", 9.80665)
 
 
+def test_a_wild_sample_turns_no_sign(tmp_path: Path) -> None:
+    rows = [f"{0.001 * k:.3f},{1e5 if k == 7 else -9.8}\n" for k in range(300)]
+    notices = read(tmp_path, accel="t_s,left_z_mps2\n" + "".join(rows)).notices
+    assert not any("gravity" in notice.text for notice in notices)
+
+
 def test_metres_labelled_as_g_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"'right_z' reads -9\.\d+ g .*unit"):
         level(tmp_path, "t_s,right_z_g", -9.80665)
