@@ -58,11 +58,24 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
         raise ConfigError(f"{mapping.origin}: 'test' must be one of {kinds}, not {mapping.test!r}")
     tables = tables_of(options.recordings, mapping)
     plain, make_page = _DIAGNOSED[mapping.test](tables, mapping, options, progress)
-    plain["notes"] += [note for table in tables for note in table.notes]
+    plain["notes"] += [*_unmatched(tables, mapping), *(note for table in tables for note in table.notes)]
     write_findings(plain, options.json, options.html, _print_findings, make_page)
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
     return NOTHING_TO_ESTIMATE if plain["verdict"] == "not-identifiable" else 0
+
+
+def _unmatched(tables: Sequence[MappedTable], mapping: TableMapping) -> list[str]:
+    """Sentences of entries under [[recordings]] without a file, and of channels that are not said of every file."""
+    folders = {table.path.parent for table in tables}
+    missing = [name for name in mapping.constants if not any((folder / name).exists() for folder in folders)]
+    channels = dict.fromkeys(name for table in tables for name in table.constants)
+    lacking = {name: [table.path.name for table in tables if name not in table.constants] for name in channels}
+    noted = {name: ", ".join(files) for name, files in lacking.items() if files}
+    return [
+        *(f"[[recordings]] names {name}, which is no file beside the others" for name in missing),
+        *(f"{name} cannot be a cause: {files} has no value of it" for name, files in noted.items()),
+    ]
 
 
 _Diagnosed = tuple[dict[str, Any], Callable[[], str]]

@@ -267,3 +267,17 @@ def test_what_a_diagnosis_wrote_is_named(tmp_path: Path, capsys: pytest.CaptureF
     for json_target, printed in said.items():
         write_findings({}, json_target, page, lambda _: None, lambda: "")
         assert capsys.readouterr().out == printed
+
+
+def test_values_that_reach_no_file_are_told() -> None:
+    entry = '[[recordings]]\nfile = "R2.csv"\nvalues = { temperature_degc = 20.0 }\n'
+    mapping = parse_mapping(VOLTS + entry, "lab.toml")
+    values = np.zeros(3)
+    tables = [
+        MappedTable(Path("r1.csv"), values, {}, {"temperature_degc": 20.0}),
+        MappedTable(Path("r2.csv"), values, {}, {}),
+    ]
+    assert measured_structures._unmatched(tables, mapping) == [
+        "[[recordings]] names R2.csv, which is no file beside the others",
+        "temperature_degc cannot be a cause: r2.csv has no value of it",
+    ]
