@@ -37,6 +37,8 @@ _RESPONSE = "response_"
 _FORCE = "input_n"
 _AIRSPEED = "airspeed_mps"
 _INPUT = "input_"
+_STILL_MPS = 1.0  # chosen: less is an airspeed sensor's zero
+_STEADY = 0.1  # of the mean: more is a sweep, and no airspeed of a recording (choice)
 _BAND_SLACK = 1.01  # chosen: a band may reach half the rate of stamps that wander a little
 
 
@@ -129,8 +131,8 @@ def _limit_cycle(
     for i, table in enumerate(tables):
         progress("follow the vibration", i / len(tables))
         responses = {name.removeprefix(_RESPONSE): table.channels[name] for name in names}
-        airspeed = float(np.mean(table.channels[_AIRSPEED])) if _AIRSPEED in table.channels else None
         try:
+            airspeed = _airspeed(table, notes)
             _rate_hz(table, _band(mapping))
             _varying(table, names)
             tracks.append(track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping)))
@@ -142,6 +144,27 @@ def _limit_cycle(
     plain = flutter_json(diagnosis)
     plain["notes"] += notes
     return plain, lambda: flutter_page(diagnosis, plain, mapping.description)
+
+
+def _airspeed(table: MappedTable, notes: list[str]) -> float | None:
+    """Mean airspeed of a file, None where it has none; a change within it is noted.
+
+    Raises
+    ------
+    RecordingError
+        It is negative.
+    """
+    if _AIRSPEED not in table.channels:
+        return None
+    speed = table.channels[_AIRSPEED]
+    mean, (low, high) = float(np.mean(speed)), np.percentile(speed, (2.0, 98.0)).tolist()
+    if mean < -_STILL_MPS:
+        raise RecordingError(f"{table.path.name}: an airspeed of {mean:.1f} m/s is negative: turn its sign or zero")
+    if high - low > max(_STEADY * mean, _STILL_MPS):
+        notes.append(
+            f"{table.path.name}: the airspeed goes from {low:.1f} to {high:.1f} m/s, and counts as {mean:.1f} m/s"
+        )
+    return max(mean, 0.0)
 
 
 def _responses_of_all(tables: Sequence[MappedTable]) -> tuple[list[str], list[str]]:

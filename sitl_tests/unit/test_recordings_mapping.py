@@ -281,3 +281,18 @@ def test_values_that_reach_no_file_are_told() -> None:
         "[[recordings]] names R2.csv, which is no file beside the others",
         "temperature_degc cannot be a cause: r2.csv has no value of it",
     ]
+
+
+def test_an_airspeed_that_changes_within_a_file_is_noted_and_a_negative_refused() -> None:
+    def table_of(first: float, last: float) -> MappedTable:
+        speed = np.linspace(first, last, 50)
+        return MappedTable(Path("r1.csv"), np.arange(50.0), {"airspeed_mps": speed}, {})
+
+    notes: list[str] = []
+    assert measured_structures._airspeed(table_of(13.0, 13.2), notes) == pytest.approx(13.1)
+    assert measured_structures._airspeed(table_of(-0.2, -0.1), notes) == 0.0
+    assert not notes
+    measured_structures._airspeed(table_of(10.0, 16.7), notes)
+    assert "the airspeed goes from 10.1 to 16.6 m/s, and counts as 13.3 m/s" in notes[0]
+    with pytest.raises(RecordingError, match=r"an airspeed of -12\.0 m/s is negative"):
+        measured_structures._airspeed(table_of(-12.0, -12.0), notes)
