@@ -87,6 +87,13 @@ def test_equal_runs_are_adequate() -> None:
     assert plain["causes"] == []
 
 
+def test_a_single_run_is_not_identifiable() -> None:
+    verdict, plain = judge([9.2], [0.0])
+    assert verdict is DiagnosisVerdict.NOT_IDENTIFIABLE
+    assert plain["reason"] == "one run has nothing to be compared with"
+    assert plain["advice"] == ["measure further runs, and write down what differs between them"]
+
+
 def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_cause() -> None:
     verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, -1.0, -2.0, -3.0])
     assert verdict is DiagnosisVerdict.NOT_IDENTIFIABLE

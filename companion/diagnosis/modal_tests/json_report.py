@@ -8,7 +8,7 @@ from typing import Any
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.diagnosis.json_rows import cause_head, checks, failures, held_out_gain, quantity
 from companion.diagnosis.modal_tests.frequency_changes import NOTABLE_CHANGE, ORDER, ChangedMode
-from companion.diagnosis.modal_tests.recordings import ModalTestDiagnosis
+from companion.diagnosis.modal_tests.recordings import ONE_RUN, ModalTestDiagnosis
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
@@ -34,7 +34,7 @@ def as_json(diagnosis: ModalTestDiagnosis, recordings: Sequence[str], airframe: 
         "gain": _gain(diagnosis),
         "adequacy": {"before": checks(diagnosis.one_frequency), "after": checks(outcome.after)},
         "residual": {"description": reason, "failed": failures(outcome.after)} if unexplained else None,
-        "confounded": [ORDER, *changed[0].confounded()] if not_identifiable else [],
+        "confounded": [ORDER, *changed[0].confounded()] if not_identifiable and changed else [],
         "advice": _advice(diagnosis),
         "modes": [_mode(mode) for mode in diagnosis.modes],
         "airframe_parameters": [],
@@ -45,6 +45,8 @@ def as_json(diagnosis: ModalTestDiagnosis, recordings: Sequence[str], airframe: 
 def _reason(diagnosis: ModalTestDiagnosis) -> str:
     if not diagnosis.changed:
         runs = len(diagnosis.modes[0].runs)
+        if runs < 2:
+            return ONE_RUN
         return f"every frequency is the same in all {runs} runs, to {100 * NOTABLE_CHANGE:g} %"
     leading = diagnosis.changed[0]
     change = _change_in_words(leading)
@@ -93,6 +95,8 @@ def _advice(diagnosis: ModalTestDiagnosis) -> list[str]:
     match diagnosis.outcome.verdict:
         case DiagnosisVerdict.UNEXPLAINED:
             return ["record what differs between runs"]
+        case DiagnosisVerdict.NOT_IDENTIFIABLE if not diagnosis.changed:
+            return ["measure further runs, and write down what differs between them"]
         case DiagnosisVerdict.NOT_IDENTIFIABLE:
             return _advice_on_order(diagnosis.changed[0])
         case _:

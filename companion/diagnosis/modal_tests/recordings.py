@@ -39,6 +39,8 @@ from companion.diagnosis.selection.regression import (
 )
 from companion.errors import RecordingError
 
+ONE_RUN = "one run has nothing to be compared with"
+"""Reason of a verdict on a test of a single run."""
 _WIDE = 0.1  # prior sigma of a frequency, and of its change, relative: what a wing may do at most (choice)
 _NOISE_KNOWN = 1e-9  # prior sigma of the logarithm of a noise that the modal fits have measured
 
@@ -66,8 +68,10 @@ class ModalTestRuns(Regressions):
         )
 
     def not_identifiable(self, null: RegressionFit) -> str:
-        """Channels that go hand in hand with run order, where none that came back explains the change."""
+        """Channels that go hand in hand with run order, where none that came back explains the change; a single run."""
         del null
+        if len(self._modes[0].runs) < 2:
+            return ONE_RUN
         if not self._changed or self._changed[0].causes():
             return ""
         return " and ".join(self._changed[0].confounded())
