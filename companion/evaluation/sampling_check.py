@@ -25,6 +25,7 @@ from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, 
 from companion.reporting.page import render
 
 _GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
+_FASTEST_HZ = 2e4  # chosen: no accelerometer on a wing is sampled so fast: the unit of its stamps is another
 _FEWEST = 10  # samples: of fewer there is no usual step (choice)
 _NEEDED = f"an accelerometer at each wing tip (left_z, right_z), {REQUIREMENT}"
 
@@ -69,7 +70,11 @@ class Timing:
         if not self.has_tip:
             return "no accelerometer on a wing: what the wing does cannot be told from the fuselage alone"
         short = [timing.longest_stretch_s for timing in self.streams if not timing.usable_s]
-        return f"the longest stretch without a gap is {min(short):.1f} s" if short else ""
+        if not short:
+            return ""
+        rate_hz = max(timing.rate_hz for timing in self.streams if not timing.usable_s)
+        unit = f"; it says {rate_hz:.0f} Hz: are its stamps in another unit?" if rate_hz > _FASTEST_HZ else ""
+        return f"the longest stretch without a gap is {min(short):.1f} s{unit}"
 
 
 def paths_of(recordings: Sequence[str], mapping: TableMapping | None) -> list[Path]:

@@ -48,6 +48,16 @@ def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> Non
     assert "left_z" in plain["advice"][0]
 
 
+def test_stamps_a_thousand_times_too_small_are_asked_for_their_unit(tmp_path: Path) -> None:
+    """Seconds that the mapping takes for milliseconds."""
+    rows = "".join(f"{0.005 * k:.3f},-1.0,-1.0\n" for k in range(12_000))
+    (tmp_path / "wing.csv").write_text(f"time_ms,left_g,right_g\n{rows}")
+    words = ["--mapping", "two-accelerometers", "--airframe", "nadir-2m"]
+    plain = diagnosis_of(tmp_path, str(tmp_path / "wing.csv"), *words)
+    assert plain["verdict"] == "not-identifiable"
+    assert "it says 200000 Hz: are its stamps in another unit?" in plain["reason"]
+
+
 def test_a_wing_without_eight_seconds_gets_that_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     t_s = np.arange(0.0, 12.0, 0.01)
     t_s = t_s[(t_s < 5.0) | (t_s > 11.0)]
