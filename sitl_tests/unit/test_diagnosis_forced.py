@@ -93,6 +93,34 @@ def test_a_damper_of_squared_speed_is_explained() -> None:
     assert abs(coefficient["value"] - 1e-4) < 4.0 * coefficient["sigma"]
 
 
+@pytest.mark.parametrize("spoil", ["lost rows", "gap", "wild sample"])
+def test_a_spring_is_told_in_spite_of_losses(hardening: ForcedRecording, spoil: str) -> None:
+    rows, response = np.ones(COUNT, dtype=bool), hardening.response.copy()
+    if spoil == "lost rows":
+        rows = np.random.default_rng(3).uniform(size=COUNT) > 0.002
+    elif spoil == "gap":
+        rows[5000:5100] = False
+    else:
+        response[7777] = 100.0 * response.std()
+    spoilt = ForcedRecording("spoilt", hardening.t_s[rows], hardening.force[rows], response[rows])
+    plain = as_json(diagnose_forced([spoilt], BAND_HZ, 3, lambda _what, _ratio: None))
+    coefficient = plain["causes"][0]["parameters"]["coefficient"]
+    assert coefficient["value"] == pytest.approx(4.0, abs=0.02)
+    assert len(plain["notes"]) == 1
+
+
+def test_a_recording_that_is_mostly_lost_is_refused(hardening: ForcedRecording) -> None:
+    late = dataclasses.replace(hardening, t_s=hardening.t_s + np.where(np.arange(COUNT) < 6000, 0.0, 1e9))
+    with pytest.raises(RecordingError, match="record without losses"):
+        diagnose_forced([late], BAND_HZ, 3, lambda _what, _ratio: None)
+
+
+def test_a_clipped_response_is_told(hardening: ForcedRecording) -> None:
+    cut = dataclasses.replace(hardening, response=np.clip(hardening.response, -0.05, 0.05))
+    plain = as_json(diagnose_forced([cut], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert "piles up at its largest value" in plain["notes"][0]
+
+
 def test_the_command_reads_it_through_a_mapping(
     hardening: ForcedRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

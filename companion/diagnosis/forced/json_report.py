@@ -11,6 +11,8 @@ from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
 
+_ACTIVE = "no passive structure has that; check which force and response were recorded"
+
 
 def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
     """Everything that a program would read; None where there is nothing to say."""
@@ -36,10 +38,7 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
         ],
         "linear": {name: _linear(diagnosis, extended) for name, extended in (("before", False), ("after", True))},
         "airframe_parameters": [],
-        "notes": [
-            f"{name} comes out negative, which no passive structure has: check which force and response were recorded"
-            for name in diagnosis.negative()
-        ],
+        "notes": [*diagnosis.notes, *(f"{name} comes out negative: {_ACTIVE}" for name in diagnosis.negative())],
     }
 
 

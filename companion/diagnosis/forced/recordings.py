@@ -22,6 +22,7 @@ from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
+from companion.diagnosis.forced.even_recording import EvenRecording, evenly
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Progress
 from companion.diagnosis.selection.regression import (
@@ -75,6 +76,7 @@ class ForcedDiagnosis:
     outcome: Diagnosis[RegressionTerm, RegressionModel]
     recordings: tuple[ForcedRecording, ...]
     scale: Floats
+    notes: tuple[str, ...] = ()
 
     def linear(self, extended: bool) -> Floats:
         """Mass, damping and stiffness, (3,)."""
@@ -98,17 +100,21 @@ def diagnose_forced(
     Raises
     ------
     RecordingError
-        A segment holds too few frequencies of the band, or force and response have opposite signs.
+        A segment holds too few frequencies of the band, each has a gap, most rows are lost, or force and response have
+        opposite signs.
     """
     tables, blocks, omegas, motions = [], [], [], []
+    grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
     pieces = max(_SEGMENTS // len(recordings), 2)
-    for k, entry in enumerate(recordings):
-        rate_hz, series = _series(entry, band_hz)
+    for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
+        series = _series(even, band_hz)
         motions.append(np.stack([series[3], series[2]]))
-        for i, (table, omega) in enumerate(_segments(entry.name, rate_hz, series, band_hz, pieces)):
+        for i, (table, omega) in enumerate(_segments(entry.name, even, series, band_hz, pieces)):
             tables.append(table)
             omegas.append(omega)
             blocks.append(np.full(2 * len(omega), float(k * pieces + i)))
+    if not tables:
+        raise RecordingError("no segment without a gap: record without losses")
     rows = np.concatenate([np.concatenate([table.real, table.imag], axis=1) for table in tables], axis=1)
     omega = np.concatenate([np.tile(omega, 2) for omega in omegas])
     force, columns = rows[0], rows[1:]
@@ -129,7 +135,10 @@ def diagnose_forced(
         RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
     ]
-    diagnosis = ForcedDiagnosis(diagnose(Regressions([response], terms), most, progress), tuple(recordings), scale)
+    notes = tuple(note for even in grids for note in even.notes)
+    diagnosis = ForcedDiagnosis(
+        diagnose(Regressions([response], terms), most, progress), tuple(recordings), scale, notes
+    )
     if {"mass", "stiffness"} <= set(diagnosis.negative()):
         raise RecordingError(
             "mass and stiffness come out negative: force and response have opposite signs; turn one in the mapping"
@@ -137,32 +146,31 @@ def diagnose_forced(
     return diagnosis
 
 
-def _series(entry: ForcedRecording, band_hz: tuple[float, float]) -> tuple[float, list[Floats]]:
-    """Rate, and force, acceleration, speed, deflection and laws over time, (n,) each."""
-    count = len(entry.t_s)
-    rate_hz = (count - 1) / float(entry.t_s[-1] - entry.t_s[0])
-    even_s = entry.t_s[0] + np.arange(count) / rate_hz
-    force, q = (np.interp(even_s, entry.t_s, values) for values in (entry.force, entry.response))
-    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
-    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * rate_hz), np.fft.rfft(q), 0.0)
+def _series(even: EvenRecording, band_hz: tuple[float, float]) -> list[Floats]:
+    """Force, acceleration, speed, deflection and laws over time, (n,) each."""
+    count = len(even.force)
+    f_hz = np.fft.rfftfreq(count, 1.0 / even.rate_hz)
+    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz), np.fft.rfft(even.response), 0.0)
     turn = 2j * np.pi * f_hz
     deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
     fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
     laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
-    return rate_hz, [force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
+    return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
 
 
 def _segments(
-    name: str, rate_hz: float, series: Sequence[Floats], band_hz: tuple[float, float], pieces: int
+    name: str, even: EvenRecording, series: Sequence[Floats], band_hz: tuple[float, float], pieces: int
 ) -> list[tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], Floats]]:
-    """All series (s, f) of each segment in the band, and omega (f,)."""
+    """All series (s, f) of each segment without a gap in the band, and omega (f,)."""
     segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), pieces):
-        part_hz = np.fft.rfftfreq(len(index), 1.0 / rate_hz)
+        part_hz = np.fft.rfftfreq(len(index), 1.0 / even.rate_hz)
         inside = (part_hz > band_hz[0]) & (part_hz < band_hz[1])
         if inside.sum() < _LEAST_BINS:
             raise RecordingError(f"{name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
+        if even.lost[index].any():
+            continue
         taper = np.hanning(len(index))
         rows = np.stack([np.fft.rfft(taper * values[index])[inside] / np.sqrt(len(index)) for values in series])
         segments.append((rows, np.asarray(2.0 * np.pi * part_hz[inside])))

@@ -1,0 +1,73 @@
+"""Rows of a forced oscillator on an even grid: few lost or wild samples are splined, long gaps marked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import medfilt
+
+from companion.errors import RecordingError
+from companion.records import Bools, Floats
+
+_LOST = 1.6  # of the usual step: from there on a row is missing (choice)
+_GAP = 3.5  # of the usual step: two rows may be lost, which a spline of what is in the band passes (choice)
+_MOST_LOST = 2.0  # rows of the even grid by those that came: more is no recording at that rate (choice)
+_CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
+_SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median, and times the median step from it: wild, no vibration
+_PILED = 0.005  # of all samples at the largest or smallest value: a range has cut them (choice)
+
+
+@dataclass(frozen=True, slots=True)
+class EvenRecording:
+    """``force``, ``response`` and ``lost`` (within a long gap), (n,), at one rate; ``notes`` are sentences."""
+
+    rate_hz: float
+    force: Floats
+    response: Floats
+    lost: Bools
+    notes: tuple[str, ...]
+
+
+def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecording:
+    """Put rows (n,) on an even grid with a sample for each that was lost.
+
+    Raises
+    ------
+    RecordingError
+        Most rows are lost.
+    """
+    step = np.diff(t_s)
+    ratio = step / float(np.median(step))
+    count = len(t_s) + int(np.sum(np.rint(ratio[ratio > _LOST]) - 1.0))
+    if count > _MOST_LOST * len(t_s):
+        raise RecordingError(f"{name}: of {count} rows at the usual rate {len(t_s)} are there: record without losses")
+    even_s = np.linspace(t_s[0], t_s[-1], count)
+    gaps = np.flatnonzero(ratio > _GAP)
+    lost = np.zeros(count, dtype=np.bool_)
+    for k in gaps:
+        lost |= (even_s > t_s[k]) & (even_s < t_s[k + 1])
+    wild = _wild(response)
+    many, gone, notes = int(np.count_nonzero(wild)), int(np.count_nonzero((ratio > _LOST) & (ratio <= _GAP))), []
+    if gone:
+        notes.append(f"{name}: rows are lost at {gone} places, which splines bridge")
+    if many:
+        notes.append(f"{name}: {many} wild samples of the response are left out")
+    if gaps.size:
+        longest_s = float(step[gaps].max())
+        notes.append(f"{name}: {gaps.size} gaps, the longest {longest_s:.3g} s: segments with a gap are left out")
+    if max(np.mean(response == response.max()), np.mean(response == response.min())) > _PILED:
+        notes.append(f"{name}: the response piles up at its largest value: it is clipped, which looks like a law")
+    straight = lost | bool(ratio.min() < _CROWDED)
+    push, answer = (
+        np.where(straight, np.interp(even_s, at_s, values), CubicSpline(at_s, values)(even_s))
+        for at_s, values in ((t_s, force), (t_s[~wild], response[~wild]))
+    )
+    return EvenRecording((count - 1) / float(t_s[-1] - t_s[0]), push, answer, lost, tuple(notes))
+
+
+def _wild(values: Floats) -> Bools:
+    """Single samples (n,) that lie far from their neighbours."""
+    away = np.abs(values - medfilt(values, _SPIKE))
+    return np.asarray(away > _SPIKY * float(np.median(np.abs(np.diff(values)))))
