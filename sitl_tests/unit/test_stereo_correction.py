@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from companion.records import (
     RelativeRotation,
     VehicleState,
 )
-from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, raw_pixels, wall_ahead
 
 MS = 1_000_000
 SLOPES = (0.02, 0.024)
@@ -52,12 +53,22 @@ def _vehicle(t_ns: int) -> VehicleState:
 
 def _matches(number: int = 0) -> MatchSet:
     """A post ahead to the right, and ground 30 m below, from the bank that there is at exposure."""
-    rig, random = Rig.from_airframe(forward(rotation_sigma_rad=2e-5)), np.random.default_rng(5 + number)
+    random = np.random.default_rng(5 + number)
     bearing = np.radians(10.0 + random.uniform(-1.0, 1.0, 40))
     post = np.column_stack([40.0 * np.cos(bearing), 40.0 * np.sin(bearing), random.uniform(-3, 3, 40)])
     ahead = random.uniform(60.0, 150.0, 300)
     ground = np.column_stack([ahead, ahead * random.uniform(-0.3, 0.3, 300), np.full(300, 30.0)])
     points = np.vstack([post, ground]) @ level_from_body(ROLL_RATE_RADPS * 0.5, 0.0)
+    return _of_points(points, random, number)
+
+
+def _of_wall(number: int = 0) -> MatchSet:
+    """A wall across the axis: a range needs something there."""
+    return _of_points(wall_ahead(60.0, 150, 5 + number), np.random.default_rng(5 + number), number)
+
+
+def _of_points(points: np.ndarray, random: np.random.Generator, number: int) -> MatchSet:
+    rig = Rig.from_airframe(forward(rotation_sigma_rad=2e-5))
     left, right = raw_pixels(rig, points, SLOPES)
     inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
     pixels = right[inside] + 0.02 * random.normal(size=right[inside].shape)
@@ -78,7 +89,7 @@ def test_on_the_ground_nothing_is_trusted_or_learnt_and_from_lift_off_on_it_is()
         correction.vehicle.add(state)
     outputs: list[OutputRecord] = []
     for number in range(12):
-        assert not list(correction.add(_matches(number)))
+        assert not list(correction.add(_of_wall(number)))
         outputs += correction.due(Still(), EXPOSED_NS + (600 + 100 * number) * MS)
     rolling = [measured for measured in _of(CorrectedRange, outputs) if measured.t_host_ns < lift_off_ns]
     assert len(rolling) == 5
@@ -118,14 +129,20 @@ def test_stamps_that_are_worse_widen_the_toe_by_what_the_aircraft_turns_meanwhil
 
 
 def _corrected(
-    tracker: Any, settings: Settings, pairs: int = 1, *, vehicles: bool = True, misstamped: tuple[int, ...] = ()
+    tracker: Any,
+    settings: Settings,
+    pairs: int = 1,
+    *,
+    vehicles: bool = True,
+    misstamped: tuple[int, ...] = (),
+    matched: Callable[[int], MatchSet] = _matches,
 ) -> list[OutputRecord]:
     correction = Correction.create(forward(rotation_sigma_rad=2e-5), settings)
     for t_ns in range(0, 1600 * MS, 100 * MS) if vehicles else ():
         correction.vehicle.add(_vehicle(t_ns))
     outputs: list[OutputRecord] = []
     for number in range(pairs):
-        outputs += correction.add(_matches(number), Reject.STAMP_OUTLIER if number in misstamped else None)
+        outputs += correction.add(matched(number), Reject.STAMP_OUTLIER if number in misstamped else None)
         outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS)
     return outputs
 
@@ -143,7 +160,7 @@ def test_sectors_are_levelled_by_the_attitude_at_exposure_and_not_by_the_newest(
 
 
 def test_an_untrusted_wing_withholds_range_and_sectors_and_teaches_nothing() -> None:
-    outputs = _corrected(Still(Reject.NOT_SETTLED), Settings(), pairs=4)
+    outputs = _corrected(Still(Reject.NOT_SETTLED), Settings(), pairs=4, matched=_of_wall)
     ranges = _of(CorrectedRange, outputs)
     assert len(ranges) == 4
     assert not any(measured.trusted for measured in ranges)
@@ -170,7 +187,7 @@ def test_after_a_time_without_a_bend_the_matches_tell_anew_and_soon(distrust: Re
     for number in range(12):
         tracker.refuses = number in (5, 6)
         tracker.distrust = distrust if tracker.refuses else None
-        outputs += correction.add(_matches(number))
+        outputs += correction.add(_of_wall(number))
         outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS)
     sigmas_rad = [measured.toe_sigma_rad for measured in _of(CorrectedRange, outputs)]
     assert len(sigmas_rad) == 10
