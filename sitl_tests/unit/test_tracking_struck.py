@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from companion.core.pipeline import PipelineState, start, step
-from companion.core.tracking.validity import NIS_LIMIT
+from companion.core.tracking.contradiction import NIS_LIMIT
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ImuBatch, ModeEstimate, OutputRecord, Reject, Rejected, Station, Tick

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from companion.core.tracking.adaptation.spectral_fit import FitInput, SpectralFit
+from companion.core.tracking.contradiction import Contradiction
 from companion.core.tracking.model import WingParameters
 from companion.core.tracking.parameters import FREQUENCY, LOAD
 from companion.core.tracking.prediction import Forecast
@@ -112,11 +114,11 @@ def test_new_parameters_are_taken_unless_they_make_the_measurements_inconsistent
     assert contradicted == [False, not taken], "the next fit knows that a second mode without evidence may be missing"
 
 
-def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None:
-    """From a state that it cannot leave by itself it would never find back."""
+def _validities(wrong_s: tuple[float, float], end_s: float) -> tuple[WingTracker, dict[float, Validity]]:
+    """Tracker, and its validity by time, where the left lateral axis shows a fifth of the vertical one for a while."""
     tracker = WingTracker(plain_airframe(), Settings(adapt=0))
-    t, values = swinging(9.0, 0.005)
-    wrong = slice(2500, 7500)
+    t, values = swinging(end_s, 0.005)
+    wrong = slice(*(round(1000 * at_s) for at_s in wrong_s))
     values[Station.LEFT][wrong, 1] = 0.2 * values[Station.LEFT][wrong, 2]
     validities = {}
     for first in range(0, len(t), EVERY_MS):
@@ -126,6 +128,55 @@ def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None
         state = tracker.advance(EPOCH_NS + (first + EVERY_MS) * MS)
         if state is not None:
             validities[1e-3 * (first + EVERY_MS)] = state.validity
+    return tracker, validities
+
+
+def test_trust_comes_back_when_the_filter_has_settled_behind_a_contradiction() -> None:
+    _, validities = _validities((2.5, 4.5), 11.0)
+    contradicted = [at_s for at_s, validity in validities.items() if validity is Validity.INCONSISTENT]
+    settling = [at_s for at_s, validity in validities.items() if validity is Validity.SETTLING and at_s > 2.5]
+    assert min(contradicted) < 2.75
+    assert 4.5 < max(contradicted) < 8.5
+    assert min(settling) > max(contradicted)
+    assert max(settling) - max(contradicted) == pytest.approx(2.0, abs=0.1)
+    assert validities[11.0] is Validity.TRACKING
+
+
+def _watched(nis: list[float]) -> list[tuple[bool, bool]]:
+    """Whether there is a contradiction, and whether none is felt any more, at an NIS each 0.5 s."""
+    contradiction, kalman, watched = Contradiction(), SimpleNamespace(nis=1.0), []
+    for kalman.nis in nis:
+        contradiction.update(kalman, 1.0, 0.5)  # type: ignore[arg-type]
+        watched.append((contradiction.holds, contradiction.settled))
+    return watched
+
+
+HOLDS, SETTLES, OVER = (True, False), (False, False), (False, True)
+
+
+def test_a_contradiction_lasts_until_the_nis_is_what_the_right_model_has() -> None:
+    watched = _watched([2.9, 3.1, 3.1, 3.1, 2.9, 2.1, 1.9, 2.9, 2.9, 2.9])
+    assert watched[0] == OVER
+    assert watched[3:6] == 3 * [HOLDS]
+    assert watched[6:] == [*(3 * [SETTLES]), OVER]
+
+
+def test_a_single_blow_costs_no_settling_and_a_second_one_does() -> None:
+    blow = [9.0, 2.9]
+    assert _watched(blow) == [(True, True), OVER]
+    assert _watched([*blow, *(8 * [1.0]), *blow, 1.0])[-3:] == [HOLDS, HOLDS, SETTLES]
+    assert _watched([*blow, *(20 * [1.0]), *blow])[-1] == OVER
+
+
+def test_a_deflection_that_no_gust_of_the_fit_has_is_a_contradiction() -> None:
+    contradiction = Contradiction()
+    contradiction.update(SimpleNamespace(nis=1.0), 6.1, 0.1)  # type: ignore[arg-type]
+    assert contradiction.holds
+
+
+def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None:
+    """From a state that it cannot leave by itself it would never find back."""
+    tracker, validities = _validities((2.5, 7.5), 9.0)
     assert validities[2.5] is Validity.TRACKING
     assert {validities[at_s] for at_s in validities if 3.0 < at_s < 7.0} == {Validity.INCONSISTENT}
     assert Validity.SETTLING in {validities[at_s] for at_s in validities if at_s > 7.4}

@@ -21,16 +21,14 @@ GOOD = {
     "stale": False,
     "saturated": False,
     "settled": True,
-    "nis": 1.0,
-    "deflection_sigmas": 3.0,
+    "contradicted": False,
     "rms_m": np.array([0.004, 0.001]),
     "calm_rms_m": 0.0002,
     "ambiguous": False,
 }
 WORSE = [
     (Validity.STALE, {"stale": True}),
-    (Validity.INCONSISTENT, {"nis": 3.1}),
-    (Validity.INCONSISTENT, {"deflection_sigmas": 6.1}),
+    (Validity.INCONSISTENT, {"contradicted": True}),
     (Validity.SETTLING, {"settled": False}),
     (Validity.SATURATED, {"saturated": True}),
     (Validity.CALM, {"rms_m": np.array([0.00011, 0.00011]), "calm_rms_m": 0.0002}),

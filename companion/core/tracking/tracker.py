@@ -15,6 +15,7 @@ from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.blow import BlowWatch
 from companion.core.tracking.body_rates import BodyRates
+from companion.core.tracking.contradiction import NIS_LIMIT, Contradiction
 from companion.core.tracking.estimates import (
     bias_parameter_estimates,
     fast_slope_time_s,
@@ -35,14 +36,13 @@ from companion.core.tracking.smoother import smooth_between
 from companion.core.tracking.spread_work import SPREAD_S, SpreadWork, Stages
 from companion.core.tracking.states import make_layout, make_noise
 from companion.core.tracking.streams import SampleBuffer
-from companion.core.tracking.validity import DISTRUST, NIS_LIMIT, ModalActivity, classify_validity
+from companion.core.tracking.validity import DISTRUST, ModalActivity, classify_validity
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _HISTORY_S = 1.25  # chosen: longest lag of the smoother, and what ticks and two stamps of a pair are late
 _MOST_S = 1.0  # chosen: of epochs at once, which the history holds; then lines are searched for
-_INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
 _BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
 _TRIAL_S = 1.5  # derived: fits come once a second
@@ -90,7 +90,7 @@ class WingTracker:
         self._activity = ModalActivity(self._layout, adapts=bool(self._settings.adapt))
         self._manoeuvre_error = ManoeuvreError()
         self._blow = BlowWatch()
-        self._inconsistent_s = 0.0
+        self._contradiction = Contradiction()
         self._rare_gates = RareGates()
         self._body_rates.clear()
         if self._start_ns is not None:
@@ -191,12 +191,13 @@ class WingTracker:
         self._next_ns += count * self._step_ns
         for segment in self._adaptation.split(epochs, fits=bool(self._settings.adapt)):
             self._kalman.run(segment)
-            if self._lost(segment.length):
+            passed_s = segment.length * self._step_s
+            self._contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
+            if self._contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
             self._activity.update(self._kalman, segment.length, self._step_s)
             vibration = self._activity.rms_m(), self._activity.recent_rms_m()
-            passed_s = segment.length * self._step_s
             if not self._adaptation.early and self._blow.update(self._kalman.nis_of_known_wing, *vibration, passed_s):
                 self._adaptation.begin_history()
             self._body_rates.extend(segment)
@@ -216,12 +217,6 @@ class WingTracker:
                     self._mark()  # there was no fit, for want of samples or for a blow, and the epochs must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - BEFORE * self._step_ns - 50_000_000)
-
-    def _lost(self, steps: int) -> bool:
-        """Whether the filter has run away, or has contradicted its sensors for too long to recover."""
-        inconsistent = self._kalman.nis > NIS_LIMIT
-        self._inconsistent_s = self._inconsistent_s + steps * self._step_s if inconsistent else 0.0
-        return not self._kalman.finite or self._inconsistent_s > _INCONSISTENT_LIMIT_S
 
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
@@ -253,7 +248,7 @@ class WingTracker:
                 new.tried.run(join(remaining))
             self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
             if new.tried.nis < _FALLING * self._kalman.nis:
-                self._inconsistent_s = 0.0  # a load that has grown is known now, and the state follows
+                self._contradiction.mend()  # a load that has grown is known now, and the state follows
             if self._refused:
                 model = self._kalman.model
             elif self._adaptation.refilter:
@@ -333,9 +328,8 @@ class WingTracker:
         return classify_validity(
             stale=stale,
             saturated=any(stream.is_saturated(self._next_ns) for stream in self._live_streams),
-            settled=self._activity.settled,
-            nis=self._kalman.nis,
-            deflection_sigmas=self._activity.deflection_sigmas,
+            settled=self._activity.settled and self._contradiction.settled,
+            contradicted=self._contradiction.holds,
             rms_m=self._activity.rms_m(),
             calm_rms_m=self._settings.calm_rms_m,
             parameters=self._adaptation.parameters,

@@ -21,11 +21,7 @@ _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
-# chosen, of the slow deflection by gusts as fitted: a state that a lost line drove to ten stays there, for vertical
-# axes contradict no slow load that holds it
-_MOST_SIGMAS = 6.0
 _MOST_REFUSED = 20  # chosen, of fits in a row, once a second: none of their history is that of the last that was taken
-NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -149,8 +145,7 @@ def classify_validity(
     stale: bool,
     saturated: bool,
     settled: bool,
-    nis: float,
-    deflection_sigmas: float,
+    contradicted: bool,
     rms_m: Floats,
     calm_rms_m: float,
     parameters: tuple[ModeParameters, ModeParameters],
@@ -159,7 +154,7 @@ def classify_validity(
     """Validity of the estimate; the gravest reason wins. ``rms_m`` (2,) is the vibration of both families."""
     if stale:
         return Validity.STALE
-    if nis > NIS_LIMIT or deflection_sigmas > _MOST_SIGMAS:
+    if contradicted:
         return Validity.INCONSISTENT
     if not settled:
         return Validity.SETTLING
