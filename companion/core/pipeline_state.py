@@ -10,7 +10,7 @@ from companion.core.clock.bank import ClockBank
 from companion.core.clock.unsynced_nodes import UnsyncedNodes
 from companion.core.output_scheduler import OutputScheduler
 from companion.core.rate_monitor import StreamRateMonitor
-from companion.core.silence import RangeSilence
+from companion.core.silence import Complaints, RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.exposure_feedback import ExposureFeedback
@@ -42,6 +42,7 @@ class PipelineState:
     filters: VehicleFilters = field(default_factory=VehicleFilters)
     unsynced_nodes: UnsyncedNodes = field(default_factory=UnsyncedNodes)
     silence: RangeSilence = field(default_factory=RangeSilence)
+    complaints: Complaints = field(default_factory=Complaints)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)

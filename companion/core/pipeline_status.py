@@ -19,6 +19,7 @@ def status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
         *clocks,
         *([] if latency is None else [latency]),
         *([] if say is None else [Notice(Severity.WARNING, say, now_ns)]),
+        *(Notice(Severity.WARNING, text, now_ns) for text in state.complaints.due(state.tracker.complaints, now_ns)),
         ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
     ]
 

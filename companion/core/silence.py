@@ -134,6 +134,19 @@ class RangeSilence:
             counts.clear()
 
 
+@dataclass(slots=True)
+class Complaints:
+    """Sentences of the tracker, each told as it comes up, and again every 20 s as long as it holds."""
+
+    _said_ns: dict[str, int] = field(default_factory=dict)
+
+    def due(self, sentences: list[str], now_ns: int) -> list[str]:
+        """Those of the sentences that hold now which are to be said."""
+        due = [text for text in sentences if now_ns - self._said_ns.get(text, now_ns - _REPEAT_NS) >= _REPEAT_NS]
+        self._said_ns = {text: now_ns if text in due else self._said_ns[text] for text in sentences}
+        return due
+
+
 def _named(reason: Reject) -> str:
     setting = _SETTINGS.get(reason)
     return f"{reason} ({setting})" if setting else str(reason)

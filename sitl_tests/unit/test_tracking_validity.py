@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from companion.core.pipeline import start, step
+from companion.core.tracking.file_check import FileCheck
 from companion.core.tracking.model import stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.core.tracking.tracker import WingTracker
 from companion.core.tracking.validity import classify_validity
 from companion.params.settings import Settings
-from companion.records import Axis, Reject, Station, Validity
+from companion.records import Axis, ClockName, Notice, Reject, Station, Tick, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
@@ -135,6 +138,55 @@ def test_a_gyro_may_be_off_but_not_drift(drift_radps2: float, level_radps: float
             assert tracker.distrust is None
     assert tracker.nis < 2.0
     assert tracker.distrust is (None if trusted else Reject.CONTRADICTED)
+
+
+def _looked(sigmas: list[float], name: str) -> list[bool]:
+    """Whether each look, a second apart, finds that a constant which is off by so many sigmas contradicts the file."""
+    layout = make_layout(plain_airframe())
+    at = layout.bias_parameters.index(name)
+    check, contradicts = FileCheck(layout), []
+    parameters = _with_frequency_sigma((0.01, 0.01))
+    for second, off in enumerate(sigmas, 1):
+        constants = np.zeros(len(layout.bias_parameters))
+        constants[at] = off * layout.bias_parameter_sigma[at]
+        model = SimpleNamespace(step_s=0.004, parameters=parameters)
+        check.update(SimpleNamespace(steps=250 * second, bias_parameters=constants, model=model))  # type: ignore[arg-type]
+        contradicts.append(check.sentence is not None)
+    return contradicts
+
+
+def test_a_constant_six_sigmas_off_the_file_contradicts_it_until_it_is_back() -> None:
+    assert not any(_looked([5.9] * 9, "left.kz"))
+    assert not any(_looked([9.0, 9.0, 1.0, 9.0, 9.0], "trim"))
+    contradicts = _looked([-6.1, -6.1, -6.1, -4.0, -2.9], "slope.second_symmetric")
+    assert contradicts == [False, False, True, True, False]
+
+
+def test_a_further_mode_far_from_the_file_contradicts_it() -> None:
+    layout = make_layout(plain_airframe())
+    parameters = _with_frequency_sigma((0.01, 0.01))
+    first, second = parameters[0].modes
+    moved = dataclasses.replace(parameters[0], modes=(first, dataclasses.replace(second, frequency_hz=13.0)))
+    check = FileCheck(layout)
+    for third in range(1, 4):
+        model = SimpleNamespace(step_s=0.004, parameters=(moved, parameters[1]))
+        constants = np.zeros(len(layout.bias_parameters))
+        check.update(SimpleNamespace(steps=250 * third, bias_parameters=constants, model=model))  # type: ignore[arg-type]
+    assert check.sentence == "frequency of second symmetric is -14 Hz off the airframe's file, which states 3 Hz"
+
+
+def test_a_scale_that_the_file_does_not_know_costs_the_trust_and_is_named() -> None:
+    state, (t, values) = start(plain_airframe(), Settings(), hub=ClockName.HOST), swinging(14.0, 0.004)
+    values[Station.LEFT][:, :3] *= 1.1
+    said = []
+    for first in range(0, len(t), 40):
+        for station, v in values.items():
+            step(state, batch(station, t[first : first + 40], v[first : first + 40]))
+        said += [each for each in step(state, Tick(EPOCH_NS + (first + 40) * MS))[1] if isinstance(each, Notice)]
+    assert state.tracker.distrust is Reject.CONTRADICTED
+    (notice,) = (each for each in said if "file" in each.text)
+    assert notice.text.startswith("left ")
+    assert " off the airframe's file, which states " in notice.text
 
 
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])

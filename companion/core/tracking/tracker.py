@@ -347,6 +347,11 @@ class WingTracker:
         return Reject.SATURATED if blinded else DISTRUST.get(self._validity)
 
     @property
+    def complaints(self) -> list[str]:
+        """Sentences for the operator on what is wrong with the sensors or with the airframe's file."""
+        return [] if (wrong := self._activity.file_check.sentence) is None else [wrong]
+
+    @property
     def nis(self) -> float:
         """Mean normalised innovation squared of a row over the last second: 1 where the model is right."""
         return self._kalman.nis

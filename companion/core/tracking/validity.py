@@ -9,6 +9,7 @@ import numpy as np
 
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.bias_drift import BiasDrift
+from companion.core.tracking.file_check import FILE_CHECK_S, FileCheck
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel, stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
@@ -46,6 +47,8 @@ class ModalActivity:
         Spectral fits are made.
     fitted : bool
         One was taken.
+    file_check : FileCheck
+        Constants against the airframe's file.
     deflection_sigmas : float
         Mean deflection of a family's first mode from its static bend over the last second, over the deflection's sigma
         in the gusts as fitted; the larger one. A vibration, however strong, has no mean.
@@ -68,6 +71,7 @@ class ModalActivity:
         self.adapts = adapts
         self._refused = 0  # fits in a row
         self._drift = BiasDrift(layout)
+        self.file_check = FileCheck(layout)
 
     def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
@@ -91,6 +95,8 @@ class ModalActivity:
         self.settled_s += count * step_s
         if self.settled_s >= EARLY_S:  # before, the noise that biases are judged by is still learned
             self._drift.update(kalman)
+        if self.settled_s >= EARLY_S - FILE_CHECK_S:
+            self.file_check.update(kalman)
         self.learned |= self.settled_s >= EARLY_S and (self.fitted or not self.adapts)
         if not self._blocks:
             self._rms = np.sqrt(self._sum / self._count)
@@ -108,9 +114,10 @@ class ModalActivity:
 
     @property
     def reject(self) -> Reject | None:
-        """Reason why what was learned is not to be trusted: too new, never fitted, always contradicted, or drifting."""
+        """Reason why what was learned is not to be trusted: new, never fitted, contradicted, drifting, off the file."""
         overdue = not self.learned and self.settled_s >= EARLY_S
-        if self._refused >= _MOST_REFUSED or (overdue and self._refused) or self._drift.too_fast:
+        refused = self._refused >= _MOST_REFUSED or (overdue and self._refused)
+        if refused or self._drift.too_fast or self.file_check.sentence is not None:
             return Reject.CONTRADICTED
         if overdue:
             return Reject.NOT_FITTED
