@@ -98,3 +98,58 @@ def test_views_and_read_only_arrays_are_taken_like_any_other() -> None:
     frozen.add(dataclasses.replace(batch, values=values), 0)
     for other in (strided, frozen):
         np.testing.assert_array_equal(other.average(_edges()).mean, plain.average(_edges()).mean)
+
+
+def _sent_on(
+    stream: SampleBuffer, values: np.ndarray, first_ms: int = 0, axes: Axis = Axis.ALL
+) -> list[tuple[int, Reject]]:
+    """Instants (ms) and reasons of refusals, where values (n, 6) come 20 at a time, one a millisecond."""
+    refused = []
+    for at in range(0, len(values), 20):
+        t_ns = 1_000_000 * (first_ms + at + np.arange(20, dtype=np.int64))
+        sent = ImuBatch(Station.LEFT, ClockName.HOST, t_ns, values[at : at + 20], axes, int(t_ns[-1]))
+        refused += [(first_ms + at, each.reason) for each in stream.add(sent, -1)]
+    return refused
+
+
+def _noisy(count: int, accel_step_mps2: float = 0.0) -> np.ndarray:
+    """Noise of the sensor at rest, (n, 6), in steps of the accelerometers' resolution."""
+    sensor = LEFT
+    density = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
+    values = np.random.default_rng(4).normal(size=(count, 6)) * density * np.sqrt(500.0)
+    if accel_step_mps2:
+        values[:, :3] = np.round(values[:, :3] / accel_step_mps2) * accel_step_mps2
+    return values
+
+
+def test_a_channel_that_stands_still_is_refused_from_its_last_change_on_until_it_has_moved_for_a_while() -> None:
+    stream = SampleBuffer(LEFT, "left")
+    values = _noisy(10_000)
+    values[6000:7000, 1] = values[6000, 1]
+    refused = _sent_on(stream, values[:6500])
+    assert {reason for _, reason in refused} == {Reject.STALE}
+    assert refused[0][0] in (6040, 6060)
+    assert int(stream.samples()[0][-1]) == 6_000_000_000
+    assert stream.newest_ns == 6_000_000_000
+    assert stream.complaints == ["left y stands still: its samples are not used"]
+    refused = _sent_on(stream, values[6500:], 6500)
+    assert 7150 < max(at_ms for at_ms, _ in refused) < 7250
+    assert stream.complaints == []
+
+
+def test_a_channel_coarser_than_its_noise_may_stand_still_and_so_may_one_at_its_limit() -> None:
+    sensor = LEFT
+    sigma_mps2 = sensor.accel_noise_mps2_rthz * np.sqrt(500.0)
+    for step_mps2, coarse in ((0.3 * sigma_mps2, False), (1.5 * sigma_mps2, True)):
+        stream, values = SampleBuffer(sensor, "left"), _noisy(7000, step_mps2)
+        values[6000:, 1] = values[6000, 1]
+        assert bool(_sent_on(stream, values)) is not coarse
+    stream, values = SampleBuffer(sensor, "left"), _noisy(7000)
+    values[6000:, 2] = sensor.accel_range_mps2
+    assert Reject.STALE not in {reason for _, reason in _sent_on(stream, values)}
+
+
+def test_an_axis_that_is_not_sent_may_stand_still() -> None:
+    stream, values = SampleBuffer(LEFT, "left"), _noisy(7000)
+    values[6000:, 1] = values[6000, 1]
+    assert not _sent_on(stream, values, axes=Axis.Z | Axis.P)

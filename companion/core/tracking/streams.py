@@ -22,6 +22,7 @@ from companion.core.tracking.line_removal import (
 )
 from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
+from companion.core.tracking.standstill import Standstill
 from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
@@ -114,12 +115,16 @@ class SampleBuffer:
 
     Attributes
     ----------
+    place : str
+        Of the sensor, for the operator.
     newest_ns : int or None
         Stamp of the newest accepted sample.
     saturated_ns : int or None
         Stamp of the newest sample that was refused as saturated.
     clipping : Clipping
         Samples at the sensor's limits, and what they cost.
+    standstill : Standstill
+        Channels that hang: nothing of the stream is used meanwhile.
     filtered : bool
         Whether the source low-passes its samples.
     ring : SampleRing
@@ -127,12 +132,14 @@ class SampleBuffer:
     """
 
     sensor: Sensor
+    place: str = ""
     t_ns: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     values: Floats = field(default_factory=lambda: np.empty((0, CHANNELS)))
     axes: Axis = Axis.NONE
     newest_ns: int | None = None
     saturated_ns: int | None = None
     clipping: Clipping = field(init=False)
+    standstill: Standstill = field(init=False)
     filtered: bool = field(init=False)
     ring: SampleRing = field(init=False)
     _lines: LineStates | None = None
@@ -151,6 +158,7 @@ class SampleBuffer:
     def __post_init__(self) -> None:
         sensor = self.sensor
         self.clipping = Clipping(channel_ranges(sensor), 1.0 / sensor.rate_hz)
+        self.standstill = Standstill(sensor, channel_ranges(sensor))
         self._cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / sensor.rate_hz)
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
@@ -168,11 +176,27 @@ class SampleBuffer:
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
+        if len(t) and self._hangs(t, values, batch.axes):
+            return [*reports, Rejected(Reject.STALE, _name(batch), batch.received_host_ns, len(t))]
         if len(t) and not self.clipping.active and _valid(t, values, self.sensor, oldest_ns):
             self._take(t, values)
             return reports
         batch, beyond = within_range(batch, self.sensor)
         return [*reports, *beyond, *self._take_valid(batch, oldest_ns)]
+
+    def _hangs(self, t_ns: Ints, values: Floats, axes: Axis) -> bool:
+        """Whether a channel stands still; as that is found, what came since is dropped as well."""
+        before = self.standstill.since_ns
+        self.standstill.update(t_ns, values, axes)
+        since_ns = self.standstill.since_ns
+        if since_ns is None:
+            return False
+        if before is None:
+            self._merge_waiting()
+            moving = self.t_ns <= since_ns
+            self.t_ns, self.values = self.t_ns[moving], self.values[moving]
+            self.newest_ns = min(since_ns, self.newest_ns or since_ns)
+        return True
 
     def _report_outliers(self, batch: ImuBatch) -> list[Rejected]:
         """Count of outliers that have not been reported, as a refusal."""
@@ -202,6 +226,12 @@ class SampleBuffer:
         return self.clipping.blinds or (
             self.saturated_ns is not None and t_ns - self.saturated_ns < _SATURATION_HOLD_NS
         )
+
+    @property
+    def complaints(self) -> list[str]:
+        """Sentences for the operator on what is wrong with the stream."""
+        axes = self.standstill.axes
+        return [f"{self.place} {axes} stands still: its samples are not used"] if axes else []
 
     def is_silent(self, since_ns: int) -> bool:
         """Whether nothing has come since an instant, not even samples at the sensor's limits."""

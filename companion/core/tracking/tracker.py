@@ -55,7 +55,7 @@ class WingTracker:
         self._airframe, self._settings = airframe, settings
         self._step_ns = round(1e9 / settings.track_rate_hz)
         self._step_s = self._step_ns * 1e-9
-        self._streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
+        self._streams = tuple(SampleBuffer(airframe.sensor(station), station.name.lower()) for station in Station)
         self._layout = make_layout(airframe)
         root, left, right = self._streams
         self._noise = make_noise(airframe, self._layout, self._step_s)
@@ -349,7 +349,8 @@ class WingTracker:
     @property
     def complaints(self) -> list[str]:
         """Sentences for the operator on what is wrong with the sensors or with the airframe's file."""
-        return [] if (wrong := self._activity.file_check.sentence) is None else [wrong]
+        wrong = [each for stream in self._streams for each in stream.complaints]
+        return wrong if (off := self._activity.file_check.sentence) is None else [*wrong, off]
 
     @property
     def nis(self) -> float:
