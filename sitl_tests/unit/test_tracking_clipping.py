@@ -136,3 +136,35 @@ def test_what_waits_for_another_station_is_kept_for_seconds_only() -> None:
         stream.forget_waited()
         stream.first_ns()
     assert len(stream.samples()[0]) < 1500
+
+
+def _shaken(limit_mps2: float, step_mps2: float = 0.0) -> SampleBuffer:
+    """Stream of 6 s of a gust of 14 m/s^2 rms about one g, clipped at a limit, in steps of a resolution."""
+    stream, rng = SampleBuffer(LEFT, "left"), np.random.default_rng(6)
+    values = rng.standard_normal((6000, 6)) * np.repeat([0.02, 0.002], 3)
+    values[:, 2] += -9.8 + np.convolve(14.0 * rng.standard_normal(6009), np.full(10, 10.0**-0.5), "valid")
+    if step_mps2:
+        values[:, 2] = np.round(values[:, 2] / step_mps2) * step_mps2
+    values[:, :3] = np.clip(values[:, :3], -limit_mps2, limit_mps2)
+    t_ns = SECOND + 1_000_000 * np.arange(len(values), dtype=np.int64)
+    for k in range(0, len(values), BATCH):
+        sent = slice(k, k + BATCH)
+        stream.add(ImuBatch(Station.LEFT, ClockName.HOST, t_ns[sent], values[sent], Axis.ALL, SECOND), 0)
+    return stream
+
+
+def test_an_extreme_that_comes_again_and_again_is_the_range() -> None:
+    stream = _shaken(39.2)
+    assert stream.complaints == ["left accelerometer clips at 39.2 m/s2, its file says 157"]
+    assert stream.clipping.often
+    assert stream.clipping.found_range.range_of.tolist()[2] == 39.2
+    values = np.zeros((BATCH, 6))
+    values[:, 2] = -60.0
+    t_ns = 8 * SECOND + 1_000_000 * np.arange(BATCH, dtype=np.int64)
+    stream.add(ImuBatch(Station.LEFT, ClockName.HOST, t_ns, values, Axis.ALL, SECOND), 0)
+    assert stream.complaints == [], "a value beyond it refutes it"
+
+
+@pytest.mark.parametrize("step_mps2", [0.0, 0.0098, 0.1])
+def test_the_extreme_of_a_gust_is_no_range(step_mps2: float) -> None:
+    assert _shaken(LIMIT_MPS2, step_mps2).complaints == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.tracking.found_range import FoundRange
 from companion.records import Bools, Floats
 
 _SATURATION_MARGIN = 0.002  # chosen: a value within this of the range was clipped
@@ -45,12 +46,14 @@ class Clipping:
     ----------
     clipped_ratio : (2, 6) float64
         Samples of each channel that were clipped above and below, as a share of the last seconds'.
+    found_range : FoundRange
+        Range of each channel: the file's, or a lower one that the samples show.
     """
 
     def __init__(self, range_of: Floats, period_s: float) -> None:
         """Start with the range of each channel (6,) and the time between samples."""
         self.clipped_ratio: Floats = np.zeros((2, len(range_of)))
-        self._range = range_of
+        self.found_range = FoundRange(range_of, period_s)
         self._period_s = period_s
         self._runs = 0.0  # of the last half minute
         self._run = 0  # clipped samples in a row, at the end of what was counted
@@ -59,6 +62,11 @@ class Clipping:
     def active(self) -> bool:
         """Whether anything was clipped lately."""
         return self._runs > 0.0
+
+    def concerns(self, values: Floats) -> bool:
+        """Whether the next samples (n, 6), n > 0, must be counted though the file's range is far from them."""
+        self.found_range.update(values)
+        return self.active or self.found_range.below_file
 
     @property
     def _largest_share(self) -> float:
@@ -80,7 +88,7 @@ class Clipping:
 
         Those are the first runs, and the end of a long one.
         """
-        full = at_limit(values, self._range)
+        full = at_limit(values, self.found_range.range_of)
         clipped = np.asarray(full.any(axis=(0, 2)))
         if len(values) and (self.active or clipped.any()):
             span_s = len(values) * self._period_s

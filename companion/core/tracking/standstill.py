@@ -28,14 +28,13 @@ class Standstill:
         Stamp of the last sample before the standstill, behind which none is to be used; None where all channels move.
     """
 
-    def __init__(self, sensor: Sensor, range_of: Floats) -> None:
-        """Start with the sensor and the range of each channel (6,)."""
+    def __init__(self, sensor: Sensor) -> None:
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
         cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         band_hz = np.where(cutoff_hz > 0.0, _NOISE_BAND * cutoff_hz, np.inf)
         self._noise_sigma: Floats = noise * np.sqrt(np.minimum(band_hz, 0.5 * sensor.rate_hz))
         self._sent = np.array([letter in sensor.sends for letter in _AXES])
-        self._period_s, self._most = 1.0 / sensor.rate_hz, _MARGIN * range_of
+        self._period_s = 1.0 / sensor.rate_hz
         self._span_ns = max(_SPAN_NS, round(_FEWEST * 1e9 / sensor.rate_hz))
         self._newest: Floats = np.full(len(_AXES), np.nan)
         self._changed_ns = np.zeros(len(_AXES), np.int64)  # the newest value came first
@@ -45,13 +44,13 @@ class Standstill:
         self._hangs = np.zeros(len(_AXES), np.bool_)
         self.since_ns: int | None = None
 
-    def update(self, t_ns: Ints, values: Floats, axes: Axis) -> None:
-        """Look at the next samples, (n,) and (n, 6) with n > 0."""
+    def update(self, t_ns: Ints, values: Floats, axes: Axis, range_of: Floats) -> None:
+        """Look at the next samples, (n,) and (n, 6) with n > 0, with the range of each channel (6,)."""
         newest_ns = int(t_ns[-1])
         with np.errstate(invalid="ignore"):
             change = np.abs(np.diff(values, axis=0, prepend=self._newest[None]))
             self._step = np.minimum(self._step, np.where(change > 0.0, change, np.inf).min(axis=0))
-            same = (change == 0.0) & (np.abs(values) < self._most)
+            same = (change == 0.0) & (np.abs(values) < _MARGIN * range_of)
         self._newest = values[-1].copy()
         last = len(t_ns) - 1 - (~same[::-1]).argmax(axis=0)  # that differs from the one before
         self._changed_ns = np.where(same.all(axis=0), np.minimum(self._changed_ns, newest_ns), t_ns[last])
@@ -68,7 +67,7 @@ class Standstill:
         elif self.since_ns is None:
             self.since_ns = int(self._changed_ns[self._hangs].min())
 
-    @property
-    def axes(self) -> str:
-        """Letters of the channels that stand still."""
-        return "".join(letter for letter, hangs in zip(_AXES, self._hangs, strict=True) if hangs)
+    def sentences(self, place: str) -> list[str]:
+        """Sentence for the operator, where a channel stands still."""
+        axes = "".join(letter for letter, hangs in zip(_AXES, self._hangs, strict=True) if hangs)
+        return [f"{place} {axes} stands still: its samples are not used"] if axes else []

@@ -158,7 +158,7 @@ class SampleBuffer:
     def __post_init__(self) -> None:
         sensor = self.sensor
         self.clipping = Clipping(channel_ranges(sensor), 1.0 / sensor.rate_hz)
-        self.standstill = Standstill(sensor, channel_ranges(sensor))
+        self.standstill = Standstill(sensor)
         self._cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / sensor.rate_hz)
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
@@ -178,7 +178,7 @@ class SampleBuffer:
             self.axes |= batch.axes
         if len(t) and self._hangs(t, values, batch.axes):
             return [*reports, Rejected(Reject.STALE, _name(batch), batch.received_host_ns, len(t))]
-        if len(t) and not self.clipping.active and _valid(t, values, self.sensor, oldest_ns):
+        if len(t) and not self.clipping.concerns(values) and _valid(t, values, self.sensor, oldest_ns):
             self._take(t, values)
             return reports
         batch, beyond = within_range(batch, self.sensor)
@@ -187,7 +187,7 @@ class SampleBuffer:
     def _hangs(self, t_ns: Ints, values: Floats, axes: Axis) -> bool:
         """Whether a channel stands still; as that is found, what came since is dropped as well."""
         before = self.standstill.since_ns
-        self.standstill.update(t_ns, values, axes)
+        self.standstill.update(t_ns, values, axes, self.clipping.found_range.range_of)
         since_ns = self.standstill.since_ns
         if since_ns is None:
             return False
@@ -230,8 +230,7 @@ class SampleBuffer:
     @property
     def complaints(self) -> list[str]:
         """Sentences for the operator on what is wrong with the stream."""
-        axes = self.standstill.axes
-        return [f"{self.place} {axes} stands still: its samples are not used"] if axes else []
+        return [*self.standstill.sentences(self.place), *self.clipping.found_range.sentences(self.place)]
 
     def is_silent(self, since_ns: int) -> bool:
         """Whether nothing has come since an instant, not even samples at the sensor's limits."""
