@@ -43,6 +43,8 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
             return Health.STANDBY, f"{state.validity}; no range yet: {early}"
         silence = state.silence.reason(state.settings) if state.correction is not None else None
         return (Health.ACTIVE, motion_text(state)) if silence is None else (Health.STANDBY, silence)
+    if state.validity is Validity.INCONSISTENT:
+        return Health.CRITICAL, state.tracker.contradiction.sentence
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)

@@ -185,6 +185,11 @@ class Listener:
     def describe(self) -> None:
         """Nor anything to tell of it."""
 
+    @property
+    def complaints(self) -> list[str]:
+        """Nor anything wrong."""
+        return []
+
 
 def deaf_records(flight: Flight) -> list[Any]:
     """The flight's records but for the left node's answers."""

@@ -6,10 +6,13 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from companion.core.clock.bank import ClockBank
+from companion.core.pipeline import start, step
 from companion.core.tracking.adaptation.spectral_fit import FitInput, SpectralFit
 from companion.core.tracking.contradiction import Contradiction
 from companion.core.tracking.model import WingParameters
@@ -19,7 +22,7 @@ from companion.core.tracking.rigid_body import join
 from companion.core.tracking.spread_work import Stages
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
-from companion.records import Deflection, Reject, Station, Validity
+from companion.records import ClockName, Deflection, Reject, ServiceStatus, Station, Tick, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 EVERY_MS = 100
@@ -142,11 +145,23 @@ def test_trust_comes_back_when_the_filter_has_settled_behind_a_contradiction() -
     assert validities[11.0] is Validity.TRACKING
 
 
+def _still(nis: float) -> Any:
+    """Filter with an NIS whose left lateral axis contradicts it most."""
+    variances = np.array([4.0, 4.0, 4.0, 4.0, 1.0, 4.0, 4.0, 4.0, 4.0])
+    return SimpleNamespace(
+        nis=nis,
+        steps=500,
+        history_length=300,
+        model=SimpleNamespace(step_s=0.004),
+        innovations=lambda count: (np.ones((count, 9)), np.tile(np.diag(variances), (count, 1, 1))),
+    )
+
+
 def _watched(nis: list[float]) -> list[tuple[bool, bool]]:
     """Whether there is a contradiction, and whether none is felt any more, at an NIS each 0.5 s."""
-    contradiction, kalman, watched = Contradiction(), SimpleNamespace(nis=1.0), []
+    contradiction, kalman, watched = Contradiction(), _still(1.0), []
     for kalman.nis in nis:
-        contradiction.update(kalman, 1.0, 0.5)  # type: ignore[arg-type]
+        contradiction.update(kalman, 1.0, 0.5)
         watched.append((contradiction.holds, contradiction.settled))
     return watched
 
@@ -217,3 +232,42 @@ def test_an_uncertain_slope_factor_makes_the_forecast_of_the_slope_rate_uncertai
     assert np.abs(modal_rate).max() > 0.1, "5 mm at 5 Hz: 0.16 m/s"
     for side in (0, 1):
         assert np.all(added[:, side, side] >= 0.99 * more * modal_rate**2 - 1e-12)
+
+
+@pytest.mark.slow
+def test_sensors_that_contradict_the_model_for_good_are_told_so_and_not_that_the_tracker_settles() -> None:
+    clocks = ClockBank()
+    for clock in ClockName:
+        clocks.identity(clock)
+    state, (t, values) = start(plain_airframe(), Settings(), clocks=clocks), swinging(24.0, 0.005)
+    values[Station.LEFT][:, 1] = 0.2 * values[Station.LEFT][:, 2]
+    reasons, distrusted = [], []
+    for first in range(0, len(t), 40):
+        for station, v in values.items():
+            step(state, batch(station, t[first : first + 40], v[first : first + 40]))
+        outputs = step(state, Tick(EPOCH_NS + (first + 40) * MS))[1]
+        reasons += [(1e-3 * first, each.reason) for each in outputs if isinstance(each, ServiceStatus)]
+        distrusted.append((1e-3 * first, state.tracker.distrust))
+    said = {reason for at_s, reason in reasons if at_s > 12.0}
+    assert len(said) == 1
+    assert "the sensors contradict the wing's model, most of all the left " in said.pop()
+    assert {reason for at_s, reason in distrusted if at_s > 12.0} == {Reject.CONTRADICTED}
+
+
+def test_a_contradiction_that_outlives_two_starts_lasts_until_there_was_none_for_ten_seconds() -> None:
+    contradiction, kalman = Contradiction(), _still(9.0)
+    lasting = []
+    for _ in range(2):
+        contradiction.begin_anew()
+        for _ in range(11):
+            contradiction.update(kalman, 1.0, 0.5)
+        lasting.append(contradiction.lasting)
+    assert lasting == [False, True]
+    assert contradiction.sentence == "the sensors contradict the wing's model, most of all the left lateral axis"
+    contradiction.begin_anew()
+    held = []
+    for _ in range(25):
+        contradiction.update(_still(1.0), 1.0, 0.5)
+        held.append(contradiction.holds)
+    assert held == [True] * 19 + [False] * 6
+    assert contradiction.sentence == "the sensors contradict the wing's model"

@@ -75,7 +75,7 @@ class WingTracker:
         self._search_due = 0  # epoch of the grid
         self._row_noise = RowNoise(self._noise)
         self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
-        self._validity = Validity.SETTLING
+        self._validity, self.contradiction = Validity.SETTLING, Contradiction()
         self._restart()
 
     def _restart(self) -> None:
@@ -90,7 +90,7 @@ class WingTracker:
         self._activity = ModalActivity(self._layout, adapts=bool(self._settings.adapt))
         self._manoeuvre_error = ManoeuvreError()
         self._blow = BlowWatch()
-        self._contradiction = Contradiction()
+        self.contradiction.begin_anew()
         self._rare_gates = RareGates()
         self._body_rates.clear()
         if self._start_ns is not None:
@@ -192,8 +192,8 @@ class WingTracker:
         for segment in self._adaptation.split(epochs, fits=bool(self._settings.adapt)):
             self._kalman.run(segment)
             passed_s = segment.length * self._step_s
-            self._contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
-            if self._contradiction.too_long or not self._kalman.finite:
+            self.contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
+            if self.contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
             self._activity.update(self._kalman, segment.length, self._step_s)
@@ -248,7 +248,7 @@ class WingTracker:
                 new.tried.run(join(remaining))
             self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
             if new.tried.nis < _FALLING * self._kalman.nis:
-                self._contradiction.mend()  # a load that has grown is known now, and the state follows
+                self.contradiction.mend()  # a load that has grown is known now, and the state follows
             if self._refused:
                 model = self._kalman.model
             elif self._adaptation.refilter:
@@ -328,8 +328,8 @@ class WingTracker:
         return classify_validity(
             stale=stale,
             saturated=any(stream.is_saturated(self._next_ns) for stream in self._live_streams),
-            settled=self._activity.settled and self._contradiction.settled,
-            contradicted=self._contradiction.holds,
+            settled=self._activity.settled and self.contradiction.settled,
+            contradicted=self.contradiction.holds,
             rms_m=self._activity.rms_m(),
             calm_rms_m=self._settings.calm_rms_m,
             parameters=self._adaptation.parameters,
@@ -339,8 +339,8 @@ class WingTracker:
     @property
     def distrust(self) -> Reject | None:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
-        if not self._body_rates:
-            return Reject.NOT_SETTLED
+        if not self._body_rates or self.contradiction.lasting:
+            return Reject.CONTRADICTED if self.contradiction.lasting else Reject.NOT_SETTLED
         if (unlearned := self._activity.reject) is not None:
             return unlearned
         blinded = any(stream.clipping.blinds for stream in self._live_streams)
