@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.clock.bank import ClockBank
+from companion.core.clock.clock_map import ClockMap
 from companion.core.pipeline import start, step
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -299,3 +300,35 @@ def test_no_state_of_a_clock_is_of_no_time() -> None:
     clocks = [record for record in outputs if isinstance(record, ClockState)]
     assert clocks
     assert all(record.at_host_ns == 7_000_000_000 for record in clocks)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_silent_clock_is_used_as_long_as_its_bound_is_good(seed: int) -> None:
+    """After half a minute of exchanges the skew is known; the bound grows with what is not, and holds."""
+    link, bank = Link(seed, jitter_ns=1e6), ClockBank()
+    fly(bank, link, duration_s=30)
+    last_ns = link.start_ns + 30 * S
+    answered = []
+    for silent_s in range(0, 600, 2):
+        true = last_ns + silent_s * S + np.arange(0, 40 * MS, MS)
+        answer = bank.to_host(NODE, link.stamps(true))
+        answered.append(not isinstance(answer, Reject))
+        assert bank.state(NODE, int(true[-1])).synced is answered[-1]
+        if not isinstance(answer, Reject):
+            assert np.abs(answer[0] - true).max() <= answer[1] + 2_000
+            assert silent_s <= 4 or answer[1] <= 2 * MS
+    assert answered == sorted(answered, reverse=True), "once it is lost it stays so"
+    assert 20 < 2 * sum(answered) < 590
+
+
+def test_an_error_that_was_being_steered_away_is_not_steered_beyond() -> None:
+    mapping = ClockMap()
+    mapping.steer(S, 0.0, 0, 0.0, 1e5, 1e-7)
+    mapping.steer(2 * S, 1e6, 0, 0.0, 1e5, 1e-7)
+    host_ns = mapping.newest().host_ns
+    late = np.array([host_ns + 60 * S])
+    mapping.coast(host_ns + 60 * S)
+    mapping.coast(host_ns + 61 * S)
+    answer, _, _, bound_ns = mapping.to_host(late)
+    assert abs(int(answer[0]) - (int(late[0]) - MS)) < 3_000
+    assert bound_ns < 120_000

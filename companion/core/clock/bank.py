@@ -51,8 +51,8 @@ class ClockBank:
         -------
         (n,) int64 and int, or Reject
             Host stamps and the bound [ns] that their error does not exceed; or ``CLOCK_UNSYNCED`` (never locked,
-            suspended by a contradiction, silent for 5 s), or ``TIME_BACKWARDS`` (stamps older than what is known of
-            the clock).
+            suspended by a contradiction, silent for 5 s and known worse than 2 ms), or ``TIME_BACKWARDS`` (stamps older
+            than what is known of the clock).
         """
         if clock in self._identities:
             return t_ns, 0

@@ -16,7 +16,7 @@ from companion.native.library import ARRAY, INTEGER, kernel
 from companion.records import Ints
 
 MOST_SLEW = 1e-3  # sample spacing is torn by 0.1 % at most, below what the filter feels (choice)
-# half of the time after which a silent clock is lost: an error can only swing to its opposite (derived)
+# so long an error is steered away, and no longer where the exchanges fall silent (choice)
 _STEER_NS = 2.5e9
 _KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother asks for (choice)
 
@@ -49,6 +49,7 @@ class ClockMap:
 
     def __init__(self) -> None:
         self._newest: Knot | None = None
+        self._straight: tuple[float, float] | None = None  # skew, and bound when all is steered; None once it is
         self._count = 0
         self._stamps = np.zeros((_KNOTS, 2), np.int64)  # of each knot: remote, host
         self._slopes = np.zeros((_KNOTS, 3))  # shrink, bound, rate of the bound
@@ -70,7 +71,19 @@ class ClockMap:
             host_ns = last.to_host(remote_ns)
             error_ns = offset_ns + base_ns - (remote_ns - host_ns)
         slope = skew + min(max(error_ns / _STEER_NS, -MOST_SLEW), MOST_SLEW)
+        unsteered_ns = max(abs(error_ns) - MOST_SLEW * _STEER_NS, 0.0)
+        self._straight = skew, bound_ns + unsteered_ns + skew_bound * _STEER_NS
         self._add(Knot(remote_ns, host_ns, slope / (1 + slope), bound_ns + abs(error_ns), skew_bound))
+
+    def coast(self, host_ns: int) -> None:
+        """Go on by the skew alone where no exchange came until ``host_ns`` and the last one's error is steered away."""
+        last = self._newest
+        if last is None or self._straight is None or host_ns <= last.host_ns + _STEER_NS:
+            return
+        skew, bound_ns = self._straight
+        remote_ns = last.remote_ns + round(_STEER_NS / (1 - last.shrink))
+        self._add(Knot(remote_ns, last.to_host(remote_ns), skew / (1 + skew), bound_ns, last.bound_rate))
+        self._straight = None
 
     def _add(self, knot: Knot) -> None:
         self._newest = knot

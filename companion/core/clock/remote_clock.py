@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.clock.clock_map import ClockMap, Knot
-from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, ClockFit, ExchangeWindow, agree
+from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, SKEW_DRIFT_PER_S, ClockFit, ExchangeWindow, agree
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
-"""Silence of the exchanges after which the clock counts as lost (choice)."""
+"""Silence of the exchanges after which the clock counts as lost, unless it is still known well (choice)."""
 MOST_BOUND_NS = 10_000_000
 """A clock known less well than this is not synced (choice)."""
 MOST_ROUND_TRIP_NS = 1_000_000_000  # a longer one bounds nothing useful (choice)
@@ -92,8 +92,10 @@ class RemoteClockEstimator:
             return Reject.CLOCK_UNSYNCED
         if t_ns.size == 0:
             return t_ns.astype(np.int64), self._bound_at_ns(self._last_host_ns)
+        self._mapping.coast(self._mapping.newest().to_host(int(t_ns.max())))
         host, oldest, newest, bound = self._mapping.to_host(t_ns)
-        if newest > self._last_host_ns + STALE_NS or bound > MOST_BOUND_NS:
+        bound += self._drifted_ns(newest)
+        if not self._in_time(newest, bound) or bound > MOST_BOUND_NS:
             return Reject.CLOCK_UNSYNCED
         if oldest < self._window.first_host_ns - _BEFORE_FIRST_NS:
             return Reject.TIME_BACKWARDS
@@ -109,11 +111,12 @@ class RemoteClockEstimator:
         if not self._mapping:
             base_ns = 0 if self._window is None else self._window.base_ns
             return ClockState(self.clock, now, base_ns, 0.0, MOST_ROUND_TRIP_NS, False)
+        self._mapping.coast(now)
         knot = self._mapping.newest()
         skew = knot.shrink / (1 - knot.shrink)
         offset = knot.remote_ns - knot.host_ns + round(skew * (now - knot.host_ns))
         bound = self._bound_at_ns(now)
-        synced = now <= self._last_host_ns + STALE_NS and self._is_synced(bound)
+        synced = self._in_time(now, bound) and self._is_synced(bound)
         return ClockState(self.clock, now, offset, self._skew * 1e6, bound, synced)
 
     def synced(self) -> bool:
@@ -124,7 +127,16 @@ class RemoteClockEstimator:
         return self._suspect is None and bound_ns <= MOST_BOUND_NS
 
     def _bound_at_ns(self, host_ns: int) -> int:
-        return self._mapping.newest().bound_at_ns(host_ns)
+        return self._mapping.newest().bound_at_ns(host_ns) + self._drifted_ns(host_ns)
+
+    def _drifted_ns(self, host_ns: int) -> int:
+        """How far the skew's drift may have led since the last exchange, where that is long ago."""
+        silent_ns = host_ns - self._last_host_ns
+        return int(0.5e-9 * SKEW_DRIFT_PER_S * silent_ns * silent_ns) if silent_ns > STALE_NS else 0
+
+    def _in_time(self, host_ns: int, bound_ns: int) -> bool:
+        """Whether exchanges came lately, or the clock is known well all the same: its bound grows by the skew's."""
+        return host_ns <= self._last_host_ns + STALE_NS or bound_ns <= _GOOD_BOUND_NS
 
     def _forget(self) -> None:
         if self._mapping:
