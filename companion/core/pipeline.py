@@ -88,7 +88,10 @@ def _take_samples(state: PipelineState) -> list[OutputRecord]:
         for batch in joined(batches):
             state.rate_monitor.note(batch)
             state.counters[_SAMPLES[batch.station]] += len(batch.t_ns)
-            refused += _track(state, batch)
+            now_refused = _track(state, batch)
+            late = sum(each.count for each in now_refused if each.reason is Reject.TOO_LATE)
+            state.rate_monitor.note_late(batch.station, len(batch.t_ns), late)
+            refused += now_refused
     state.waiting.clear()
     return refused
 

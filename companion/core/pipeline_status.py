@@ -14,12 +14,13 @@ def status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name, now_ns) for name in _clocks_in_use(state.airframe)]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
+    complaints = [*state.rate_monitor.complaints(), *state.tracker.complaints]
     say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
     return [
         *clocks,
         *([] if latency is None else [latency]),
         *([] if say is None else [Notice(Severity.WARNING, say, now_ns)]),
-        *(Notice(Severity.WARNING, text, now_ns) for text in state.complaints.due(state.tracker.complaints, now_ns)),
+        *(Notice(Severity.WARNING, text, now_ns) for text in state.complaints.due(complaints, now_ns)),
         ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
     ]
 

@@ -15,6 +15,7 @@ _LONGEST_NS = 10_000_000_000  # chosen, by arrival: stamps that have not gone on
 _ALIKE = 0.15  # two windows of a settled rate differ by less (choice)
 # chosen: of the airframe's rate; ArduPilot, which cuts intervals to ms, still gives 0.83 of 400 Hz
 _LEAST, _MOST = 0.7, 1.4
+_MOST_LATE = 0.5  # of a station's samples; a few late ones are the link's habit (choice)
 _SLOWEST_HZ = 5.0  # below it no mode is seen (choice)
 
 
@@ -35,6 +36,7 @@ class StreamRateMonitor:
     """
 
     _windows: dict[Station, _Window] = field(default_factory=dict)
+    _late: dict[Station, list[int]] = field(default_factory=dict)  # samples since the last look: all, too late
 
     def note(self, batch: ImuBatch) -> None:
         """Take note of samples."""
@@ -45,6 +47,20 @@ class StreamRateMonitor:
         if not stamps:
             window.begun_host_ns = received_ns
         stamps.append(batch.t_ns)
+
+    def note_late(self, station: Station, count: int, late: int) -> None:
+        """Take note of how many samples came, and of how many that were refused because they came too late."""
+        counts = self._late.setdefault(station, [0, 0])
+        counts[0] += count
+        counts[1] += late
+
+    def complaints(self) -> list[str]:
+        """Sentences for the operator on stations of which more than half the samples since the last look came late."""
+        late = [
+            station.name.lower() for station, (count, refused) in self._late.items() if refused > _MOST_LATE * count
+        ]
+        self._late.clear()
+        return [f"{name} samples come later than TRK_WINDOW: not used" for name in late]
 
     def changed(self, airframe: Airframe) -> Iterator[tuple[Station, float]]:
         """Give stations whose rate has settled far from the airframe's, with that rate in Hz."""

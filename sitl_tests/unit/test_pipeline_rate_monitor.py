@@ -13,9 +13,12 @@ from companion.core.rate_monitor import StreamRateMonitor
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, ImuBatch, ModeState, Notice, Station, Tick, Validity
+from sitl_tests.unit import tracking_samples
 from sitl_tests.unit.pipeline_flight import S, inputs, run
+from sitl_tests.unit.tracking_samples import plain_airframe, swinging
 
 AIRFRAME = load_airframe("nadir-2m")
+TOO_LATE = "left samples come later than TRK_WINDOW: not used"
 WRONG = dataclasses.replace(AIRFRAME, left=dataclasses.replace(AIRFRAME.left, rate_hz=100.0))
 
 
@@ -86,3 +89,20 @@ def test_a_wrongly_believed_rate_is_told_and_tracked_with() -> None:
     assert notice.text == "left comes at 1000 Hz, not 100: tracker restarted"
     assert driven.state.airframe.left.rate_hz == pytest.approx(1000.0, rel=0.01)
     assert driven.of(ModeState)[-1].validity in (Validity.TRACKING, Validity.SETTLING)
+
+
+@pytest.mark.parametrize(("late_ms", "said"), [(20, set()), (200, {TOO_LATE})])
+def test_a_station_whose_samples_come_too_late_is_named(late_ms: int, said: set[str]) -> None:
+    """They are refused, and counted; nobody would know which station's."""
+    state, texts = start(plain_airframe(), Settings(), hub=ClockName.HOST), set()
+    t_ns, values = swinging(3.0, 0.004)
+    for first in range(0, len(t_ns) - 40, 40):
+        now_ns = int(t_ns[first + 39])
+        for station in Station:
+            begin = first - (late_ms if station is Station.LEFT else 0)
+            if begin >= 0:
+                sent = slice(begin, begin + 40)
+                late = tracking_samples.batch(station, t_ns[sent], values[station][sent])
+                step(state, dataclasses.replace(late, received_host_ns=now_ns))
+        texts |= {each.text for each in step(state, Tick(now_ns))[1] if isinstance(each, Notice)}
+    assert {text for text in texts if "TRK_WINDOW" in text} == said
