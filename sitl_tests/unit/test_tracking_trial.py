@@ -179,7 +179,7 @@ def test_a_contradiction_lasts_until_the_nis_is_what_the_right_model_has() -> No
 def test_a_single_blow_costs_no_settling_and_a_second_one_does() -> None:
     blow = [9.0, 2.9]
     assert _watched(blow) == [(True, True), OVER]
-    assert _watched([*blow, *(8 * [1.0]), *blow, 1.0])[-3:] == [HOLDS, HOLDS, SETTLES]
+    assert _watched([*blow, *(4 * [1.0]), *blow, 1.0])[-3:] == [HOLDS, HOLDS, SETTLES]
     assert _watched([*blow, *(20 * [1.0]), *blow])[-1] == OVER
 
 
