@@ -19,7 +19,7 @@
 #define MIN_PERIODS 0.1  /* chosen, of the lag: no difference is taken across a shorter gap */
 #define MAX_PERIODS 2.5  /* chosen: or across a longer one */
 #define MIN_GAIN 0.02    /* chosen, |g|^2: samples that hardly differ along the line say nothing of it */
-#define OMEGA_RATIO 0.7  /* chosen: a line this far from where the last search left it is lost */
+#define OMEGA_RATIO 0.55  /* chosen: a line this far from where the last search left it is lost */
 #define MAX_ALPHA_RADPS2 (TWO_PI * 100.0) /* chosen: of a harmonic; a shaft's inertia allows less */
 #define MAX_ERRORS 6.0     /* chosen, of the mean magnitude: a blow or a lie is no line */
 #define ERROR_MEMORY_S 0.5 /* chosen: a few periods of the wing */
@@ -109,8 +109,11 @@ static void fit_channel(lines *l, int64_t channel, double error, double dt)
         double re = 2.0 * error * g.re / gain, im = -2.0 * error * g.im / gain;
         if (l->multiple[j] == PARTS) {
             double weight = least(l->weight[channel], 1.0 / squared(l->error[channel])); /* gusts are no line's phase */
+            double power = a->re * a->re + a->im * a->im, besides = squared(l->error[channel]) / gain;
+            /* a channel whose line is far below the wing's motion would pull the phase to that */
+            weight *= power / (power + besides + 1e-30);
             l->turning[i] += weight * (a->re * im - a->im * re);
-            l->power[i] += weight * (a->re * a->re + a->im * a->im + FLOOR * squared(l->error[channel]) / gain);
+            l->power[i] += weight * (power + FLOOR * besides);
         }
         double slower = least((double)l->multiple[j] * l->anchor[i] / SLOWER_BELOW_RADPS, 1.0);
         a->re += slower * AMPLITUDE_RADPS * dt * re;

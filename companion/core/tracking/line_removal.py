@@ -16,7 +16,9 @@ What is subtracted turns with a calmer phase, ``phi`` less the turns ``k1 psi`` 
 one channel moves psi at its beats with the line, and came out in all channels that have the line. Two steady lines of
 3 and 1 m/s^2 so moved the slope by 0.6 to 1.7 mrad rms, in step with the vertical force, and the toe by up to 8 sigma.
 
-w is the inverse square of a channel's noise, or of its usual error e where gusts make that larger. The phase may be
+w is the inverse square of a channel's noise, or of its usual error e where gusts make that larger, times the line's
+share of the channel, ``|a|^2 / (|a|^2 + e^2 / |g|^2)``: where the wing moves far more than the line, its second mode
+would draw the phase to itself. The phase may be
 followed fast (4 Hz: a ramp of rpm leaves no error) and each amplitude slowly (2 Hz; below 45 Hz in proportion slower).
 The gain on the wing's motion at f differs from one by about ``k / (2 pi f0) (f/f0)^2``: 1e-4 at 5 Hz, 3e-3 at 27 Hz for
 a line at 80 Hz.

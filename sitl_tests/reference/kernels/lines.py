@@ -16,7 +16,7 @@ _FLOOR = 0.05  # chosen, of the usual error squared: a line that is not yet seen
 _MAX_TURN_RAD = 0.5  # chosen: of psi; a larger one is no small angle
 _MIN_PERIODS, _MAX_PERIODS = 0.1, 2.5  # chosen, of the lag: no difference is taken across a shorter or longer gap
 _MIN_GAIN = 0.02  # chosen, |g|^2: samples that hardly differ along the line say nothing of it
-_OMEGA_RATIO = 0.7  # chosen: a line this far from where the last search left it is lost
+_OMEGA_RATIO = 0.55  # chosen: a line this far from where the last search left it is lost
 _MAX_ALPHA_RADPS2 = 2.0 * np.pi * 100.0  # chosen: of a harmonic; a shaft's inertia allows less
 _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, over a few periods of the wing
 
@@ -82,9 +82,10 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
                     a, step = states.amplitude[j, c], 2.0 * error * np.conj(g[j]) / gain
                     weight = 1.0 / max(states.error[c] ** 2, 1.0 / states.weight[c])
                     if states.multiple[j] == PARTS:
+                        squared, besides = a.real * a.real + a.imag * a.imag, states.error[c] ** 2 / gain
+                        weight *= squared / (squared + besides + 1e-30)
                         turning[shaft[j]] += weight * (a.real * step.imag - a.imag * step.real)
-                        squared = a.real * a.real + a.imag * a.imag + _FLOOR * states.error[c] ** 2 / gain
-                        power[shaft[j]] += weight * squared
+                        power[shaft[j]] += weight * (squared + _FLOOR * besides)
                     slower = min(states.multiple[j] * states.anchor_radps[shaft[j]] / _SLOWER_BELOW_RADPS, 1.0)
                     states.amplitude[j, c] += slower * _AMPLITUDE_RADPS * dt * step
         for i in range(shafts if even else 0):
