@@ -102,7 +102,7 @@ def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_le
     for first, last in ((0, 25), (25, 50), (50, 75), (75, 325), (325, 500)):
         kalman.run(blind.span(first, last))
         age_s = (last - 25) * STEP_S  # since what was learned was first used
-        estimate, spread = kalman.bias_parameters / sigma, np.diag(kalman.bias_parameter_covariance) / sigma**2
+        estimate, spread = kalman.bias_parameters / sigma, np.diag(kalman._bias_covariance) / sigma**2
         np.testing.assert_allclose(estimate[stays], 100.0 / 101.0, rtol=1e-9)
         np.testing.assert_allclose(spread[stays], 1.0 / 101.0, rtol=1e-9)
         # a stationary Ornstein-Uhlenbeck process that was seen once

@@ -92,7 +92,7 @@ def _knowledge(kalman: SeparatedBiasFilter, others: list[int]) -> tuple[np.ndarr
         kalman.state,
         kalman.total_covariance,
         kalman.bias_parameters[others],
-        kalman.bias_parameter_covariance[np.ix_(others, others)],
+        kalman._bias_covariance[np.ix_(others, others)],
     )
 
 
@@ -164,23 +164,6 @@ def test_no_scale_is_learned_of_a_tip_that_is_shaken_or_could_not_show_it() -> N
     unknown = {name for name, estimate in shaken.items() if estimate == 0.0 and calm[name] != 0.0}
     assert unknown == scales | {"shortening", "trim"} | {name for name in calm if name.startswith("slope.")}
     assert mute["left.kz"] == mute["right.kz"] == 0.0 != mute["trim"]
-
-
-def test_a_further_slope_factor_is_as_uncertain_as_its_frequency_and_the_first_is_not() -> None:
-    """A rate over an acceleration scales with the circular frequency: all else known, sigma is factor times ratio."""
-    wing = load_airframe("nadir-2m").wing
-    tracker = WingTracker(load_airframe("nadir-2m"), Settings())
-    kalman = tracker._kalman
-    names = kalman.layout.bias_parameters
-    certain = np.diag(np.concatenate([[0.0], 1e12 / kalman.layout.bias_parameter_sigma**2]))
-    kalman._filter_state.information[:] = certain
-    kalman.reset_bias_parameters([])
-    ratio = kalman.model.parameters[0].log_sigma[5]
-    learned = {name: sigma for name, (_, sigma) in tracker.bias_parameters().items()}
-    factor = wing.modes["second_symmetric"].slope_factor_radpm.value
-    assert learned["slope.second_symmetric"] == pytest.approx(factor * ratio, rel=1e-6)
-    first = names.index("slope.symmetric")
-    assert learned["slope.symmetric"] == pytest.approx(1e-6 * kalman.layout.bias_parameter_sigma[first], rel=1e-3)
 
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:

@@ -223,7 +223,7 @@ def test_an_uncertain_slope_factor_makes_the_forecast_of_the_slope_rate_uncertai
     column = kalman.layout.column("slope.symmetric")
     assert column is not None
     more = 0.05**2
-    kalman.bias_parameter_covariance[column - 1, column - 1] += more
+    kalman._bias_covariance[column - 1, column - 1] += more
     unsure = tracker.forecast(200 * MS, 5 * MS)
     assert isinstance(sure, Forecast)
     assert isinstance(unsure, Forecast)

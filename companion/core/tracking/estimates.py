@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.parameters import DAMPING, FIRST_PARAMETERS, FREQUENCY, FURTHER_PARAMETERS, ModeParameters
+from companion.core.tracking.parameters import DAMPING, FREQUENCY, ModeParameters
 from companion.core.tracking.smoother import SmoothedState, error_after
 from companion.core.tracking.states import ModeFamily, StateLayout
 from companion.native.library import ARRAY, REAL, kernel
@@ -122,27 +122,15 @@ def tip_estimate(
 
 
 def bias_parameter_estimates(kalman: SeparatedBiasFilter) -> dict[str, tuple[float, float]]:
-    """Estimate and sigma of every bias parameter, by name, as deviations from the airframe's.
-
-    A further mode's slope factor is learned as a ratio of the tip's rate to the mode's, which the filter takes from its
-    acceleration over its circular frequency: the relative error of that frequency is one of the slope factor.
-    """
+    """Estimate and sigma of every bias parameter, by name, as deviations from the airframe's."""
     sigma = np.sqrt(np.diag(kalman.bias_parameter_covariance))
-    estimates = dict(
+    return dict(
         zip(
             kalman.layout.bias_parameters,
             zip(kalman.bias_parameters.tolist(), sigma.tolist(), strict=True),
             strict=True,
         )
     )
-    for family, parameters in zip(kalman.layout.families, kalman.model.parameters, strict=True):
-        frequency_sigma = parameters.log_sigma[FIRST_PARAMETERS + FREQUENCY :: FURTHER_PARAMETERS].tolist()
-        for name, mode, ratio in zip(family.names[1:], family.modes[1:], frequency_sigma, strict=True):
-            if (key := f"slope.{name}") in estimates:
-                deviation, learned_sigma = estimates[key]
-                factor = mode.slope_factor_radpm.value + deviation
-                estimates[key] = deviation, math.hypot(learned_sigma, factor * ratio)
-    return estimates
 
 
 def mode_estimate(

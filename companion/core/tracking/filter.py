@@ -21,6 +21,7 @@ from companion.core.tracking.bias_information import age_information, marginalis
 from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
 from companion.core.tracking.row_noise import RowNoise
+from companion.core.tracking.slope_error import slope_factor_variance
 from companion.core.tracking.states import ROOT_ERRORS, ROWS, SENSOR_ERRORS, SensorNoise, StateLayout
 from companion.records import Floats, Ints
 
@@ -47,7 +48,6 @@ class SeparatedBiasFilter:
     covariance : (n, n) float64
         Of the state, given the bias parameters.
     bias_parameters : (c,) float64
-    bias_parameter_covariance : (c, c) float64
     steps : int
         Steps done.
     finite : bool
@@ -72,7 +72,7 @@ class SeparatedBiasFilter:
             self.state_and_sensitivity[layout.symmetric.q, trim_column] = 1.0
         self.covariance = stationary(layout, noise, model)
         self.bias_parameters = np.zeros(c)
-        self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
+        self._bias_covariance = np.diag(layout.bias_parameter_sigma**2)
         self._prior_information = 1.0 / layout.bias_parameter_sigma**2
         self._considered_now: list[str] = []  # as long as tips vibrate or send no lateral axis
         self._set_considered(np.arange(0, dtype=np.int64))
@@ -97,10 +97,7 @@ class SeparatedBiasFilter:
         """Copy that goes on with ``model``; its history holds a single step."""
         other = copy.copy(self)
         other.state_and_sensitivity, other.covariance = self.state_and_sensitivity.copy(), self.covariance.copy()
-        other.bias_parameters, other.bias_parameter_covariance = (
-            self.bias_parameters.copy(),
-            self.bias_parameter_covariance.copy(),
-        )
+        other.bias_parameters, other._bias_covariance = (self.bias_parameters.copy(), self._bias_covariance.copy())
         other._one_and_bias = self._one_and_bias.copy()
         accumulated = self._filter_state.information.copy()
         other._filter_state = FilterState(
@@ -130,8 +127,8 @@ class SeparatedBiasFilter:
         """Leave bias parameters at their priors from here on, and what is not known of them in the covariance."""
         new = np.array([at for at in self._estimated if self.layout.bias_parameters[at] in names], np.int64)
         self._set_considered(np.union1d(self._considered, new))
-        self.bias_parameters[new] = self.bias_parameter_covariance[new] = self.bias_parameter_covariance[:, new] = 0.0
-        self.bias_parameter_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
+        self.bias_parameters[new] = self._bias_covariance[new] = self._bias_covariance[:, new] = 0.0
+        self._bias_covariance[new, new] = self.layout.bias_parameter_sigma[new] ** 2
 
     def _consider_scales(self, vibrating: tuple[bool, bool], strongly: tuple[bool, bool]) -> bool:
         """Consider what vibrating and vertical-only tips cannot tell, estimate what still ones can again; whether any.
@@ -228,10 +225,18 @@ class SeparatedBiasFilter:
         )
 
     @property
+    def bias_parameter_covariance(self) -> Floats:
+        """Covariance of the bias parameters, (c, c): slope factors with what the fit's error adds, up to the prior."""
+        covariance = self._bias_covariance.copy()
+        room = np.maximum(self.layout.bias_parameter_sigma**2 - np.diag(covariance), 0.0)
+        covariance[np.diag_indices_from(covariance)] += np.minimum(self._slope_variance, room)
+        return covariance
+
+    @property
     def total_covariance(self) -> Floats:
-        """Covariance of the state with that of the bias parameters, ``P + V P_c V^T``, (n, n)."""
+        """Covariance of the state with that of the bias parameters as solved, ``P + V P_c V^T``, (n, n)."""
         v = self.state_and_sensitivity[:-1, 1:]
-        total: Floats = self.covariance + v @ self.bias_parameter_covariance @ v.T
+        total: Floats = self.covariance + v @ self._bias_covariance @ v.T
         return total
 
     @property
@@ -239,7 +244,7 @@ class SeparatedBiasFilter:
         """Total covariance (n, n) with the symmetric deflection measured from the static bend."""
         v = self.state_and_sensitivity[:-1, 1:].copy()
         v[self.layout.symmetric.q] -= self.state_and_sensitivity[-1, 1:]
-        total: Floats = self.covariance + v @ self.bias_parameter_covariance @ v.T
+        total: Floats = self.covariance + v @ self._bias_covariance @ v.T
         return total
 
     @property
@@ -271,7 +276,7 @@ class SeparatedBiasFilter:
 
         ``S + D P_c D^T``: by noise, state and bias parameters, whose share would pass for noise.
         """
-        P_c = self.bias_parameter_covariance[np.ix_(self._teachable, self._teachable)]
+        P_c = self._bias_covariance[np.ix_(self._teachable, self._teachable)]
         slots = np.arange(self.steps - count, self.steps) % self.history_length
         covariance = self.history.innovation_covariance[slots]
         present = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
@@ -306,7 +311,7 @@ class SeparatedBiasFilter:
             at = np.ix_(self._teachable, self._teachable)
             gained = (self._filter_state.information - before)[1:, 1:][at]
             self._by_parameters *= (1.0 - self.model.step_s) ** (last - first)
-            self._by_parameters += float(np.sum(gained * self.bias_parameter_covariance[at]))
+            self._by_parameters += float(np.sum(gained * self._bias_covariance[at]))
             self.steps += last - first
             self._steps_since_solution += last - first
             if self._steps_since_solution >= _SOLVE_EVERY:
@@ -318,7 +323,7 @@ class SeparatedBiasFilter:
         """Go on with another model of the same wing."""
         if model is not self.model:
             self._preserve_acceleration(model.parameters)
-        self.model = model
+        self.model, self._slope_variance = model, slope_factor_variance(self.layout, model.parameters)
         transition = np.ascontiguousarray(model.transition[:, : self.layout.size])
         self._discrete_model = kernel_model(self.layout, model, transition, self._store_transition(transition))
 
@@ -382,6 +387,6 @@ class SeparatedBiasFilter:
             self._estimated,
             self._considered,
             self.bias_parameters,
-            self.bias_parameter_covariance,
+            self._bias_covariance,
         )
         self._one_and_bias[1:] = self.bias_parameters
