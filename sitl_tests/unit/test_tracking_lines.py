@@ -336,7 +336,7 @@ def test_what_shakes_one_axis_does_not_come_out_in_another_that_has_the_line() -
 
 
 def test_a_wing_that_swings_far_more_than_a_weak_line_does_not_draw_it() -> None:
-    """A second mode at 28 Hz and 25 m/s^2 beside a line at 68 Hz of 0.7: the loop left the line and took the mode out."""
+    """A second mode of 25 m/s^2 at 28 Hz, a line of 0.7 at 68 Hz: the loop left the line and took the mode out."""
     n, rng = 12_000, np.random.default_rng(0)
     t_s = np.arange(n) * 1e-3
     load, decay, omega = rng.standard_normal(n), np.exp(-0.02 * 2.0 * np.pi * 0.028), 2.0 * np.pi * 0.028
