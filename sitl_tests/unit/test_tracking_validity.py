@@ -11,13 +11,14 @@ import pytest
 
 from companion.core.pipeline import start, step
 from companion.core.tracking.file_check import FileCheck
-from companion.core.tracking.model import stationary
+from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.model import WingParameters, stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_parameters
-from companion.core.tracking.states import make_layout
+from companion.core.tracking.states import StateLayout, make_layout
 from companion.core.tracking.tracker import WingTracker
 from companion.core.tracking.validity import classify_validity
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, Notice, Reject, Station, Tick, Validity
+from companion.records import Axis, ClockName, Floats, Notice, Reject, Station, Tick, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
@@ -140,8 +141,11 @@ def test_a_gyro_may_be_off_but_not_drift(drift_radps2: float, level_radps: float
     assert tracker.distrust is (None if trusted else Reject.CONTRADICTED)
 
 
-def _looked(sigmas: list[float], name: str) -> list[bool]:
-    """Whether each look, a second apart, finds that a constant which is off by so many sigmas contradicts the file."""
+def _looked(sigmas: list[float], name: str, error: float = 0.1) -> list[bool]:
+    """Whether each look, a second apart, finds that a constant which is off by so many sigmas contradicts the file.
+
+    ``error`` is the estimate's own sigma, over the file's.
+    """
     layout = make_layout(plain_airframe())
     at = layout.bias_parameters.index(name)
     check, contradicts = FileCheck(layout), []
@@ -149,10 +153,26 @@ def _looked(sigmas: list[float], name: str) -> list[bool]:
     for second, off in enumerate(sigmas, 1):
         constants = np.zeros(len(layout.bias_parameters))
         constants[at] = off * layout.bias_parameter_sigma[at]
-        model = SimpleNamespace(step_s=0.004, parameters=parameters)
-        check.update(SimpleNamespace(steps=250 * second, bias_parameters=constants, model=model))  # type: ignore[arg-type]
+        check.update(_learned(layout, 250 * second, constants, parameters, error))
         contradicts.append(check.sentence is not None)
     return contradicts
+
+
+def _learned(
+    layout: StateLayout, steps: int, constants: Floats, parameters: WingParameters, error: float = 0.1
+) -> SeparatedBiasFilter:
+    """What the check looks at of a filter that has learned these constants."""
+    covariance = np.diag((error * layout.bias_parameter_sigma) ** 2)
+    model = SimpleNamespace(step_s=0.004, parameters=parameters)
+    return SimpleNamespace(  # type: ignore[return-value]
+        steps=steps, bias_parameters=constants, bias_parameter_covariance=covariance, layout=layout, model=model
+    )
+
+
+def test_a_constant_that_a_flight_hardly_tells_contradicts_no_file() -> None:
+    """A mounting about x that vertical axes alone show grows less certain than the file, and wanders."""
+    assert not any(_looked([6.3] * 9, "right.mx", error=4.0))
+    assert any(_looked([6.3] * 9, "right.mx"))
 
 
 def test_a_constant_six_sigmas_off_the_file_contradicts_it_until_it_is_back() -> None:
@@ -169,9 +189,8 @@ def test_a_further_mode_far_from_the_file_contradicts_it() -> None:
     moved = dataclasses.replace(parameters[0], modes=(first, dataclasses.replace(second, frequency_hz=13.0)))
     check = FileCheck(layout)
     for third in range(1, 4):
-        model = SimpleNamespace(step_s=0.004, parameters=(moved, parameters[1]))
         constants = np.zeros(len(layout.bias_parameters))
-        check.update(SimpleNamespace(steps=250 * third, bias_parameters=constants, model=model))  # type: ignore[arg-type]
+        check.update(_learned(layout, 250 * third, constants, (moved, parameters[1])))
     assert check.sentence == "frequency of second symmetric is -14 Hz off the airframe's file, which states 3 Hz"
 
 

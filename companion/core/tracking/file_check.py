@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from companion.core.tracking.estimates import bias_parameter_estimates
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.states import StateLayout
 
@@ -61,10 +62,16 @@ class FileCheck:
             self.sentence = None
 
     def _constants(self, kalman: SeparatedBiasFilter) -> list[tuple[float, str, float, float]]:
-        """Each constant: deviation in sigmas, name, deviation, sigma."""
-        beliefs = zip(self._layout.bias_parameters, self._layout.bias_parameter_sigma.tolist(), strict=True)
-        learned = kalman.bias_parameters.tolist()
-        return [(abs(c) / sigma, name, c, sigma) for (name, sigma), c in zip(beliefs, learned, strict=True)]
+        """Each constant: deviation in sigmas of file and estimate together, name, deviation, the file's sigma.
+
+        What drifts may be known worse than the file states it: a mounting about x that vertical axes hardly show.
+        """
+        learned = bias_parameter_estimates(kalman).items()
+        stated = self._layout.bias_parameter_sigma.tolist()
+        return [
+            (abs(c) / math.hypot(sigma, error), name, c, sigma)
+            for (name, (c, error)), sigma in zip(learned, stated, strict=True)
+        ]
 
     def _frequencies(self, kalman: SeparatedBiasFilter) -> list[tuple[float, str, float, float]]:
         """The same of each further mode's frequency, Hz; a mode without evidence stays where the file has it."""
