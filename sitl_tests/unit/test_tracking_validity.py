@@ -161,7 +161,7 @@ def _looked(sigmas: list[float], name: str, error: float = 0.1) -> list[bool]:
 def _learned(
     layout: StateLayout, steps: int, constants: Floats, parameters: WingParameters, error: float = 0.1
 ) -> SeparatedBiasFilter:
-    """What the check looks at of a filter that has learned these constants."""
+    """Filter that has learned these constants, as far as the check looks at it."""
     covariance = np.diag((error * layout.bias_parameter_sigma) ** 2)
     model = SimpleNamespace(step_s=0.004, parameters=parameters)
     return SimpleNamespace(  # type: ignore[return-value]

@@ -7,6 +7,7 @@ import numpy as np
 from companion.records import Floats
 
 _WINDOW_S = 4.0  # chosen: a gust that reaches the limit at all does so several times
+_LOOK_S = 0.1  # chosen: samples that are looked at together
 _FEWEST, _FEWEST_RUNS = 8, 4  # chosen: samples, and visits, at the very same extreme
 # chosen: a tail of its own has more samples just below its extreme than at it, a clipped one several times fewer
 _NEAR, _MOST_NEAR = 0.98, 1.0 / 3.0
@@ -31,6 +32,8 @@ class FoundRange:
         self._stated, self.range_of = range_of, range_of.copy()
         self._window = round(_WINDOW_S / period_s)
         self._refuted: Floats = np.zeros(len(range_of))  # below it no range is found again
+        self._waiting: list[Floats] = []
+        self._look_at = max(round(_LOOK_S / period_s), 1)
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -45,7 +48,13 @@ class FoundRange:
         return bool((self.range_of < self._stated).any())
 
     def update(self, values: Floats) -> None:
-        """Look at the next samples, (n, 6) with n > 0."""
+        """Take the next samples, (n, 6) with n > 0; they are looked at together."""
+        self._waiting.append(values.copy())
+        if sum(map(len, self._waiting)) >= self._look_at:
+            self._look(np.concatenate(self._waiting))
+            self._waiting.clear()
+
+    def _look(self, values: Floats) -> None:
         self._taken += len(values)
         if self._taken > self._window:
             self._begin_anew()
