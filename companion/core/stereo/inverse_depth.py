@@ -118,20 +118,24 @@ def consistent(depths: Depths, turn_sigma_rad: float = math.inf) -> Ints:
     and the one-sigma ``turn_sigma_rad`` of the relative rotation explain it: where most matches are wrong, so is their
     scatter. Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.
     """
-    finite, residual = _parallax_residuals(depths)
-    if finite.size < 3:
-        return finite
-    scale = np.fmin(_scatter_rad(residual), _explained_rad(depths, finite, turn_sigma_rad))
-    alike: Bools = np.abs(residual) <= 5.0 * scale + 1e-6
-    return finite[alike]
+    return _consistent(depths, turn_sigma_rad)[0]
 
 
-def parallax_explained(depths: Depths, turn_sigma_rad: float) -> bool:
-    """Whether the vertical parallaxes of a pair scatter no more than in :func:`consistent`: else most are wrong."""
+def consistent_if_explained(depths: Depths, turn_sigma_rad: float) -> Ints | None:
+    """Indices (k,) as :func:`consistent` has them; None where parallaxes scatter too much: most matches are wrong."""
+    alike, explained = _consistent(depths, turn_sigma_rad)
+    return alike if explained else None
+
+
+def _consistent(depths: Depths, turn_sigma_rad: float) -> tuple[Ints, bool]:
+    """Indices (k,) of consistent matches, and whether the scatter of all parallaxes is explained."""
     finite, residual = _parallax_residuals(depths)
     if finite.size < 3:
-        return True
-    return _scatter_rad(residual) <= float(np.median(_explained_rad(depths, finite, turn_sigma_rad)))
+        return finite, True
+    scatter_rad = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
+    explained_rad = _explained_rad(depths, finite, turn_sigma_rad)
+    alike: Bools = np.abs(residual) <= 5.0 * np.fmin(scatter_rad, explained_rad) + 1e-6
+    return finite[alike], scatter_rad <= float(np.median(explained_rad))
 
 
 def _parallax_residuals(depths: Depths) -> tuple[Ints, Floats]:
@@ -144,10 +148,6 @@ def _parallax_residuals(depths: Depths) -> tuple[Ints, Floats]:
     prior = np.array([0.0, _PARALLAX_SLOPE**-2, _PARALLAX_SLOPE**-2])
     sigma = np.full(finite.size, _PARALLAX_RAD)
     return finite, parallax - design @ _robust(design, parallax, sigma, prior)[0]
-
-
-def _scatter_rad(residual: Floats) -> float:
-    return MAD_TO_SIGMA * float(np.median(np.abs(residual)))
 
 
 def _explained_rad(depths: Depths, indices: Ints, turn_sigma_rad: float) -> Floats:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from companion.core.stereo.consistency_gate import clears, nearest_supported, precise, surely_beyond
-from companion.core.stereo.inverse_depth import consistent, parallax_explained
+from companion.core.stereo.inverse_depth import consistent_if_explained
 from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors
@@ -55,9 +55,9 @@ def matched_sectors(
     turn_sigma_rad : float
         One-sigma of the relative rotation, which parallaxes are judged by; infinite: not judged.
     """
-    if not parallax_explained(depths, turn_sigma_rad):
+    inliers = consistent_if_explained(depths, turn_sigma_rad)
+    if inliers is None:
         return None
-    inliers = consistent(depths, turn_sigma_rad)
     inverse, along_wings = depths.inverse_pm[inliers], depths.tangent[inliers, 0]
     sigma = np.hypot(depths.sigma_pm[inliers], common_sigma_pm * (1.0 + along_wings**2))
     along = range_axis.axis + depths.tangent[inliers] @ range_axis.across
