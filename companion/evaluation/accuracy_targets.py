@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.metrics import FAST_HZ, Scored, near, rms, slow_part, spread
+from companion.evaluation.metrics import FAST_HZ, Scored, is_wrong, near, rms, slow_part, spread
 from companion.evaluation.shot_scores import PipelineOutputs, Shots
 from companion.evaluation.trigger_scores import trigger_scores
 from companion.evaluation.true_geometry import TrueGeometry
@@ -74,7 +74,7 @@ def published_off_axis(geometry: TrueGeometry, outputs: PipelineOutputs) -> int:
     for entry in outputs.ranges.values():
         if entry.trusted:
             true_m = geometry.true_range_m(outputs.matches[entry.pair_id])
-            count += abs(entry.range_m - true_m) > max(5.0 * entry.sigma_m, 0.05 * true_m)  # false for open sky
+            count += bool(is_wrong(entry.range_m, entry.sigma_m, true_m))
     return count
 
 

@@ -48,6 +48,13 @@ class Scored:
         return self.toe_error_rad - slow_part(self.t_s, self.toe_error_rad, FAST_HZ)
 
 
+def is_wrong(range_m: Floats | float, sigma_m: Floats | float, true_m: Floats | float) -> Bools:
+    """Whether ranges (n,) are off by more than both 5 sigma and 5 %; not where the true one is NaN."""
+    off_m, true = np.abs(np.asarray(range_m) - true_m), np.asarray(true_m)
+    wrong: Bools = (off_m > 5.0 * np.asarray(sigma_m)) & (off_m > 0.05 * true)
+    return wrong
+
+
 def rms(values: Sequence[float] | Floats) -> float:
     """Root mean square of values (n,), NaN of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

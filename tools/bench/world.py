@@ -35,7 +35,7 @@ import numpy as np
 
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.runner import stored
-from companion.evaluation.metrics import SETTLED_S, rms, slow_part
+from companion.evaluation.metrics import SETTLED_S, is_wrong, rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
@@ -152,9 +152,8 @@ def summary(group: Pooled) -> dict[str, float]:
 def _off(group: Pooled, truth: str) -> tuple[int, int]:
     """Published ranges off by more than 5 sigma and 5 % from a column of true ones (NaN: not judged), and by 20 %."""
     c, trusted = group.columns, group.trusted
-    off_m = np.abs(c["range_m"] - c[truth])[trusted]
-    off_ratio, sigmas = off_m / c[truth][trusted], off_m / c["sigma_m"][trusted]
-    return int(np.sum((sigmas > 5.0) & (off_ratio > 0.05))), int(np.sum(off_ratio > 0.2))
+    range_m, sigma_m, true_m = (c[name][trusted] for name in ("range_m", "sigma_m", truth))
+    return int(np.sum(is_wrong(range_m, sigma_m, true_m))), int(np.sum(np.abs(range_m - true_m) > 0.2 * true_m))
 
 
 def _sigma_by_flights(values: Floats, flight: Floats) -> float:
