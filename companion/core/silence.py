@@ -136,7 +136,7 @@ class RangeSilence:
 
 @dataclass(slots=True)
 class Complaints:
-    """Sentences of the tracker, each told as it comes up, and again every 20 s as long as it holds."""
+    """Sentences for the operator, each told as it comes up, and again every 20 s as long as it holds."""
 
     _said_ns: dict[str, int] = field(default_factory=dict)
 

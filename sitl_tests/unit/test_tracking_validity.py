@@ -148,7 +148,7 @@ def _looked(sigmas: list[float], name: str, error: float = 0.1) -> list[bool]:
     """
     layout = make_layout(plain_airframe())
     at = layout.bias_parameters.index(name)
-    check, contradicts = FileCheck(layout), []
+    check, contradicts = FileCheck(), []
     parameters = _with_frequency_sigma((0.01, 0.01))
     for second, off in enumerate(sigmas, 1):
         constants = np.zeros(len(layout.bias_parameters))
@@ -187,7 +187,7 @@ def test_a_further_mode_far_from_the_file_contradicts_it() -> None:
     parameters = _with_frequency_sigma((0.01, 0.01))
     first, second = parameters[0].modes
     moved = dataclasses.replace(parameters[0], modes=(first, dataclasses.replace(second, frequency_hz=13.0)))
-    check = FileCheck(layout)
+    check = FileCheck()
     for third in range(1, 4):
         constants = np.zeros(len(layout.bias_parameters))
         check.update(_learned(layout, 250 * third, constants, (moved, parameters[1])))

@@ -6,7 +6,6 @@ import math
 
 from companion.core.tracking.estimates import bias_parameter_estimates
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.states import StateLayout
 
 _PERIOD_S = 1.0  # chosen: between looks
 _MOST_SIGMAS = 6.0  # chosen: sound flights reach 2.7 (constants) and 3.0 (frequencies), a scale 3 % off of 0.5 % 12
@@ -42,8 +41,7 @@ class FileCheck:
         The constant, its deviation and its sigma, as first found; None where nothing contradicts the file.
     """
 
-    def __init__(self, layout: StateLayout) -> None:
-        self._layout = layout
+    def __init__(self) -> None:
         self._steps = 0
         self._looks = 0  # in a row that contradict
         self.sentence: str | None = None
@@ -67,7 +65,7 @@ class FileCheck:
         What drifts may be known worse than the file states it: a mounting about x that vertical axes hardly show.
         """
         learned = bias_parameter_estimates(kalman).items()
-        stated = self._layout.bias_parameter_sigma.tolist()
+        stated = kalman.layout.bias_parameter_sigma.tolist()
         return [
             (abs(c) / math.hypot(sigma, error), name, c, sigma)
             for (name, (c, error)), sigma in zip(learned, stated, strict=True)
@@ -76,7 +74,7 @@ class FileCheck:
     def _frequencies(self, kalman: SeparatedBiasFilter) -> list[tuple[float, str, float, float]]:
         """The same of each further mode's frequency, Hz; a mode without evidence stays where the file has it."""
         off = []
-        for family, parameters in zip(self._layout.families, kalman.model.parameters, strict=True):
+        for family, parameters in zip(kalman.layout.families, kalman.model.parameters, strict=True):
             for name, mode, loaded in zip(family.names[1:], family.modes[1:], parameters.modes[1:], strict=True):
                 hz, sigma_hz = mode.frequency_hz.value, mode.frequency_hz.sigma
                 if sigma_hz > 0.0:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.tracking.model import WingParameters
-from companion.core.tracking.parameters import FIRST_PARAMETERS, FURTHER_PARAMETERS
+from companion.core.tracking.parameters import FREQUENCY, parameter_index
 from companion.core.tracking.states import StateLayout
 from companion.records import Floats
 
@@ -39,7 +39,8 @@ def slope_factor_variance(layout: StateLayout, parameters: WingParameters) -> Fl
     variance = np.zeros(len(layout.bias_parameters))
     for family, fitted in zip(layout.families, parameters, strict=True):
         count = len(fitted.modes)
-        places = [0, *range(FIRST_PARAMETERS, len(fitted.log_sigma), FURTHER_PARAMETERS)]
+        index = parameter_index([count])
+        places = FREQUENCY + np.concatenate([index.first, index.further])
         slopes = np.array([mode.slope_factor_radpm.value for mode in family.modes])
         square_hz = np.array([mode.frequency_hz for mode in fitted.modes]) ** 2
         loads = np.maximum(fitted.white_loads, _MIN_LOAD)

@@ -71,7 +71,7 @@ class ModalActivity:
         self.adapts = adapts
         self._refused = 0  # fits in a row
         self._drift = BiasDrift(layout)
-        self.file_check = FileCheck(layout)
+        self.file_check = FileCheck()
 
     def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
