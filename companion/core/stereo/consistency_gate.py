@@ -1,8 +1,9 @@
-"""All rules of trust: matches against the sensors, one range and one obstacle by themselves, a range against the last.
+"""Rules of trust: matches against the sensors, one range or obstacle by itself, a range against the ones before.
 
-What turns a camera unnoticed (a blow, a stamp that is wrong, a tracker misled) shows in two ways. The matches leave an
-innovation: a rotation beyond everything that is believed. And the range jumps. Either reopens the drift filter: the
-sigma of the toe grows at once to that of a knock, and ranges are trusted again when matches have told the toe anew.
+A blow, a wrong stamp or an error of the tracker can turn a camera unnoticed. This shows in two ways. The matches leave
+an innovation: a rotation beyond the predicted one. And the range jumps. Either reopens the drift filter: the sigma of
+the toe grows at once to that of a blow (:data:`KNOCK_RAD`), and ranges are trusted again when matches have measured
+the toe anew. Equations and limits: GATES.md.
 """
 
 from __future__ import annotations
@@ -19,30 +20,30 @@ from companion.params.settings import Settings
 from companion.records import Bools, CorrectedRange, Floats, Ints, Reject
 
 KNOCK_RAD = 0.005
-"""How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras (choice)."""
+"""Sigma, per axis, of the turn by a blow or by an undetected fault of the tracker (choice)."""
 RANGE_MEMORY_NS = 2_000_000_000
-"""How long a range says something of the surface at flight speed (choice)."""
+"""A range older than this is not compared with a new one: at flight speed the surface is another (choice)."""
 _CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ranges (choice)
-_AGREEING_TO_TRUST = 3  # three in a row: one wrong range never has two accomplices by chance (choice)
-_FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one (choice)
-_CONFIRMED_SIGMAS = 2.0  # for the first one by a toe learnt anew: of honest ones 95 % pass at once (choice)
-_AGREEING_ANEW = 2  # otherwise: what one pair's matches tell of the toe, another's must confirm (choice)
-_APART_TO_DOUBT = 2  # one may be a wrong match, two are not (choice)
-_SURFACE_NS = 5_000_000_000  # a knock seldom stays hidden so long where matches are looked at (choice)
-_OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million (derived)
-_OUTLIERS_TO_REOPEN = 3  # a stamp is wrong for one pair, a camera stays turned (choice)
-_ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest (choice)
-# threshold of Page's sums (choice; judged by sitl_tests/faults/camera_faults.py)
+_AGREEING_TO_TRUST = 3  # ranges in a row: wrong ones do not agree three times by chance (choice)
+_FRESH_NS = 500_000_000  # so long one agreement with a trusted range is enough (choice)
+_CONFIRMED_SIGMAS = 2.0  # of the first range after the toe was learnt anew: of sound ones 95 % pass at once (choice)
+_AGREEING_ANEW = 2  # ranges after the toe was learnt anew that must agree, if the first does not pass (choice)
+_APART_TO_DOUBT = 2  # ranges away from the trusted one: one may be a wrong match, two are not (choice)
+_SURFACE_NS = 5_000_000_000  # a new surface must stay so long where no matches test the toe (choice)
+_OUTLIER_SQUARE = 30.7  # chi-square of three degrees of freedom: one in a million (derived)
+_OUTLIERS_TO_REOPEN = 3  # in a row: a stamp is wrong for one pair, a camera stays turned (choice)
+_ALLOWED_SIGMAS = 1.0  # Page's test finds shifts of twice this soonest (choice)
+# threshold of the sums of Page's test (choice; judged by sitl_tests/faults/camera_faults.py)
 _KNOCKED_SIGMAS = 10.0
-_DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty (choice)
+_DOUBT_SIGMAS = 2.5  # chance explains one innovation in eighty beyond this (choice)
 _TERRAIN_SLACK_MPS = 8.0  # slope of terrain under a downward pair at flight speed (choice)
-_STEEPEST = 1.0  # slope of terrain, trees and houses that a pair is granted whose toe the flow confirms (choice)
-_OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle (choice)
-_CLEAR_MATCHES = 3  # chosen: far ones that clear a sector: two wrong matches may agree, three hardly
-_OBSTACLE_SIGMAS = 3.0  # chosen: of the difference of two distances: noise alone rarely parts one obstacle
-_OBSTACLE_DEPTH = 0.1  # chosen: of one obstacle against its distance: a tree's crown is one thing
+_STEEPEST = 1.0  # steepest slope of terrain, trees and houses, where the flow of a pair confirms its toe (choice)
+_OBSTACLE_MATCHES = 2  # matches that agree: one wrong match is no obstacle (choice)
+_CLEAR_MATCHES = 3  # far matches that clear a sector: two wrong ones may agree, three hardly (choice)
+_OBSTACLE_SIGMAS = 3.0  # largest difference of two distances of one obstacle, by noise (choice)
+_OBSTACLE_DEPTH = 0.1  # depth of one obstacle over its distance: a tree's crown is one obstacle (choice)
 _SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases (derived)
-_CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again (choice)
+_CARRIED = 0.5  # share of the granted variance that the next pair has: stamps may be wrong again (choice)
 
 
 class MatchVerdict(enum.Enum):
@@ -55,7 +56,7 @@ class MatchVerdict(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """Rotation (3,) beyond what is believed, as the matches see it, and its covariance (3, 3) if nothing is wrong."""
+    """Rotation (3,), rad, by the matches beyond the predicted one, and its covariance (3, 3) without a fault, rad^2."""
 
     rotation_rad: Floats
     covariance: Floats
@@ -67,12 +68,13 @@ class Innovation:
 
 @dataclass(slots=True)
 class MatchTest:
-    """Whether the matches contradict what is believed of the cameras' relative rotation, pair by pair and together.
+    """Test of the matches against the predicted relative rotation of the cameras, pair by pair and over pairs.
 
     One pair shows pitch and roll well and yaw weakly. A pair whose innovation has a normalised square that chance does
-    not give is an outlier: its stamp is wrong, or a camera has just been turned, which several in a row show. What no
-    single pair shows is seen in the cumulative sums of each axis' normalised innovation (Page's test, two-sided). Until
-    then an axis is granted what its innovation has beyond two and a half sigma, and the next pairs a share of it.
+    not give is an outlier: its stamp is wrong, or a camera has just been turned. Several outliers in a row mean a
+    turned camera. A fault that no single pair shows is found by the cumulative sums of each axis' normalised innovation
+    (Page's test, two-sided). Until then an axis is granted the variance of its innovation beyond two and a half sigma,
+    and the next pair half of that.
     """
 
     _sums: Floats = field(default_factory=lambda: np.zeros((2, 3)))
@@ -80,7 +82,7 @@ class MatchTest:
     _outliers: int = 0  # in a row
 
     def take(self, innovation: Innovation) -> tuple[MatchVerdict, Floats]:
-        """Judge one pair; also the covariance (3, 3) that its own rotation is granted beyond what is believed."""
+        """Judge one pair. Also give the covariance (3, 3), rad^2, that its innovation is granted."""
         sigma_rad = np.sqrt(np.diag(innovation.covariance))
         square = innovation.rotation_rad @ np.linalg.solve(innovation.covariance, innovation.rotation_rad)
         if square > _OUTLIER_SQUARE:
@@ -101,18 +103,19 @@ class MatchTest:
 
 @dataclass(slots=True)
 class RangeGate:
-    """Trust a range when it agrees with what was known before: its predecessors, the last trusted one, the climb rate.
+    """Trust a range when it agrees with the ranges before it, the last trusted one and the climb rate.
 
-    A range that passed its own checks is compared with the last one, moved on by the climb rate (range grows as a
-    downward-looking aircraft climbs), and ``_AGREEING_TO_TRUST`` must agree among themselves. One that goes on from a
+    A range that passed its own checks is compared with the last one, moved on by the climb rate (the range of cameras
+    that look down grows in a climb). ``_AGREEING_TO_TRUST`` ranges must agree among themselves. One that agrees with a
     trusted one just before is trusted at once. Ranges that have left the last trusted one are not trusted for agreeing
     with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be learnt anew.
-    Once it is (:meth:`reopened`), their sigma is what matches alone have told since: the first must lie close to the
-    last trusted one or be confirmed by the next, and those that agree under it are a new surface. Where nothing looks
-    at matches, a surface must stay for ``_SURFACE_NS``.
+    After that (:meth:`reopened`) the sigma of a range is what matches have measured since. The first one must lie close
+    to the last trusted one, or agree with the next. Several that agree are a new surface. Where no matches are used, a
+    new surface must stay for ``_SURFACE_NS``.
 
-    That is for a view of one lasting surface, the ground. A pair that looks ahead sees another obstacle every few
-    seconds (``lasting_surface`` false): there a jump is no evidence against the toe, and several that agree are enough.
+    These rules are for a view of one lasting surface, the ground. A pair that looks ahead sees another obstacle every
+    few seconds (``lasting_surface`` false). There a jump is no evidence against the toe, and several ranges that agree
+    are enough.
     """
 
     closing_mps_per_climb: float
@@ -130,7 +133,7 @@ class RangeGate:
         return self.lasting_surface and self._apart >= _APART_TO_DOUBT and not self._reopened
 
     def reopened(self) -> None:
-        """Take note that the toe is learnt anew from here on: what agreed before does not count."""
+        """Begin to count anew: from here on the toe is learnt anew, and ranges before do not count."""
         self._reopened, self._agreeing = True, 0
 
     def judge(
@@ -143,11 +146,11 @@ class RangeGate:
         measured : CorrectedRange
             Newest range.
         climb_mps : float
-            Climb rate.
+            Climb rate, m/s, up positive.
         slack_mps : float
-            Bounds what terrain and speed do: :func:`range_slack_mps`.
+            Further rate of the range by terrain and speed, m/s: :func:`range_slack_mps`.
         lasting_m : float
-            The part of its sigma that the ranges around it share: it is no reason for a jump.
+            The part of its sigma that neighbouring ranges share, m. It explains no jump.
         """
         if not measured.trusted:
             return measured
@@ -178,7 +181,7 @@ class RangeGate:
         return several and (not self.lasting_surface or self._reopened or stayed)
 
     def _stays_apart(self, level: _RangeAt, moving: _Moving) -> bool:
-        """Whether a range goes on from those that departed: the slack, which grows with time, does not excuse them."""
+        """Whether a range lies nearer to those that departed: the slack, which grows with time, must not accept it."""
         if self._departed is None or self._trusted is None:
             return False
         return moving.between_m(self._departed, level) < moving.between_m(self._trusted, level)
@@ -196,7 +199,7 @@ class _RangeAt:
 
 @dataclass(frozen=True, slots=True)
 class _Moving:
-    """How ranges change with time: at a rate that is known, and by a slack to both sides."""
+    """Change of ranges with time: a known rate, and a slack to both sides, m/s."""
 
     rate_mps: float
     slack_mps: float
@@ -206,7 +209,7 @@ class _Moving:
         return abs(after.range_m - before.range_m - self.rate_mps * 1e-9 * (after.t_ns - before.t_ns))
 
     def agree(self, before: _RangeAt | None, after: _RangeAt) -> bool:
-        """Whether both may be of one surface, seen by cameras that stay as they are."""
+        """Whether both may be of one surface, seen by cameras that have not turned."""
         if before is None or after.t_ns <= before.t_ns:
             return False
         slack_m = self.slack_mps * 1e-9 * (after.t_ns - before.t_ns)
@@ -238,16 +241,16 @@ def range_reject(matches: int, range_m: float, sigma_m: float, settings: Setting
 
 
 def ground_reject(on_ground: bool | None) -> Reject | None:
-    """Reason not to trust a pair of an aircraft that stands or rolls; None in the air, and where nobody tells.
+    """Reason not to trust a pair of an aircraft on the ground; None in the air, and where its state is unknown.
 
-    Wheels carry what lift does not, and bumps shake what gusts do not: neither the static bend nor the spectrum of the
-    excitation is that of the model in flight.
+    Wheels carry the weight, and bumps excite the wing: neither the static bend nor the spectrum of the excitation is
+    that of the model in flight.
     """
     return Reject.ON_GROUND if on_ground else None
 
 
 def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
-    """Range without trust where the wing, the stamps or the matches give a reason."""
+    """The range, not trusted where there is a reason: the wing, the stamps or the matches."""
     if reason is None or not measured.trusted:
         return measured
     return dataclasses.replace(measured, trusted=False, reject=reason)
@@ -256,8 +259,8 @@ def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
 def range_slack_mps(looks_down: bool, airspeed_mps: float, *, toe_confirmed: bool) -> float:
     """Rate at which a range may change beyond the climb rate, m/s: terrain, and ahead the closing speed.
 
-    ``toe_confirmed`` is whether the flow of this very pair agrees with the toe that is believed. A jump then is the
-    surface's, as far as slopes go, and no sign of cameras that have turned.
+    ``toe_confirmed`` is whether the flow of this very pair agrees with the estimated toe. A jump is then the surface's,
+    up to a slope of 45 degrees, and no sign of turned cameras.
     """
     if not looks_down:
         return _TERRAIN_SLACK_MPS + airspeed_mps
@@ -273,7 +276,7 @@ def precise(inverse_pm: Floats, sigma_pm: Floats, settings: Settings) -> Bools:
 def surely_beyond(inverse_pm: Floats, sigma_pm: Floats, slant: Floats, settings: Settings) -> Bools:
     """Whether (n,) points lie beyond the largest range; ``slant`` is their horizontal distance per unit of depth.
 
-    Rays that surely part ahead of the cameras meet nowhere: a wrong match, which clears nothing.
+    Rays that diverge by more than two sigma meet nowhere. They are a wrong match, which clears nothing.
     """
     room = _SURE_SIGMAS * sigma_pm
     beyond: Bools = ((inverse_pm + room) * settings.max_range_m < slant) & (inverse_pm > -room)
@@ -286,7 +289,7 @@ def clears(far_matches: Ints) -> Bools:
 
 
 def nearest_supported(distance_m: Floats, sigma_m: Floats) -> tuple[float, float]:
-    """Nearest distance that enough points (n,) agree on, and its sigma, m; zeros when there is none."""
+    """Nearest distance on which enough points (n,) agree, and its sigma, m; zeros without one."""
     for index in np.argsort(distance_m, kind="stable"):
         gap = np.abs(distance_m - distance_m[index])
         allowed = np.maximum(_OBSTACLE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _OBSTACLE_DEPTH * distance_m[index])

@@ -1,4 +1,4 @@
-"""From matches to ranges: wait for the smoother, take each camera's bend at its exposure, hold the slow part, gate."""
+"""From matches to ranges: the queue of pairs, and the steps that each takes once the smoother has passed it."""
 
 from __future__ import annotations
 
@@ -37,12 +37,13 @@ from companion.records import (
 )
 from companion.units import Severity
 
-_CONFIRMING_FLOW = 40  # features; fewer tell little of one pair's toe (choice; over fields there are 160)
-_AHEAD_NS = 50_000_000  # chosen: an exposure that lies so far ahead of now is stamped wrong
+_CONFIRMING_FLOW = 40  # features of a pair whose flow measures its toe well (choice; over fields there are 160)
+_AHEAD_NS = 50_000_000  # choice: an exposure stamped so far in the future has a wrong stamp
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
-_WORN_RATIO = 4.0  # chosen, of variances: of 5,000 good calibrations one looks so worn (chi-square of four terms)
+# of variances: one of 5,000 good calibrations looks so old (choice; chi-square of four terms)
+_WORN_RATIO = 4.0
 
 
 class BendSource(Protocol):
@@ -50,14 +51,14 @@ class BendSource(Protocol):
 
     @property
     def distrust(self) -> Reject | None:
-        """Why the bend is not to be trusted now, if so."""
+        """Reason not to trust the bend now; None without one."""
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """The wing at a past instant."""
 
 
 class _EarlierPair(NamedTuple):
-    """The pair before, whose matches agreed with the sensors: the wing at its left exposure, and the camera's rate."""
+    """The pair before, if its matches agreed: the wing and the left camera's rate at its left exposure."""
 
     pair_id: int
     left_bend: Deflection
@@ -65,7 +66,7 @@ class _EarlierPair(NamedTuple):
 
 
 class PendingPair(NamedTuple):
-    """A matched pair, why its stamps are not to be believed, if so, and the one-sigma of each."""
+    """A matched pair, the reason not to trust its stamps (or None), and the one-sigma of each stamp, s."""
 
     matches: MatchSet
     stamps: Reject | None
@@ -79,7 +80,7 @@ class PendingPair(NamedTuple):
 
 @dataclass(slots=True)
 class Correction:
-    """Matched pairs that wait for the smoother's lag to pass."""
+    """Matched pairs that wait until the smoother has passed their exposures."""
 
     airframe: Airframe
     rig: Rig
@@ -106,7 +107,7 @@ class Correction:
     def add(
         self, matches: MatchSet, stamps: Reject | None = None, timing_sigma_s: float = TIMING_SIGMA_S
     ) -> Iterator[OutputRecord]:
-        """Queue a pair, with the reason not to believe its stamps if any; a full queue drops the oldest and says so."""
+        """Queue a pair, with the reason not to trust its stamps, if any. A full queue refuses its oldest pair."""
         if any(clock is not ClockName.HOST for clock in matches.clocks):
             yield Rejected(Reject.CLOCK_UNSYNCED, "camera frames", matches.matched_host_ns)
             return
@@ -116,7 +117,7 @@ class Correction:
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
 
     def due(self, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
-        """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
+        """Correct every pair whose exposures lie a full lag behind the newest samples of the tracker."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
         while self.pending and not ready_ns < (exposed_ns := self.pending[0].exposed_ns) <= now_host_ns + _AHEAD_NS:
             waiting = self.pending.popleft()
@@ -160,7 +161,7 @@ class Correction:
             yield answer.sectors
 
     def _worn_lenses(self, now_host_ns: int) -> Iterator[Notice]:
-        """Say once that the lenses are not what their calibration states."""
+        """Notice, once, that the lenses are worse than their calibration states."""
         ratio = self.drift_filter.lens_ratio
         if ratio > _WORN_RATIO and not self._worn_told:
             self._worn_told = True
@@ -170,20 +171,20 @@ class Correction:
             )
 
     def _judged(self, measured: CorrectedRange, lasting_m: float, *, toe_confirmed: bool) -> CorrectedRange:
-        """The range as the gate has it, which moves the last ones on by the climb rate that was told last."""
+        """The range after :class:`RangeGate`, which predicts it by the newest climb rate."""
         newest = self.vehicle.newest
         climb_mps, airspeed_mps = (0.0, 0.0) if newest is None else (newest.climb_mps, newest.airspeed_mps)
         slack_mps = range_slack_mps(self.airframe.looks_down, airspeed_mps, toe_confirmed=toe_confirmed)
         return self.gate.judge(measured, climb_mps, slack_mps, lasting_m)
 
     def _lasting_m(self, turned: RelativeRotation, range_m: float) -> float:
-        """The part of a range's sigma that its neighbours share: the slow toe's."""
+        """The part of a range's sigma that neighbouring ranges share, m: the slow toe's."""
         return range_m**2 / self.rig.baseline_m * float(np.sqrt(turned.slow_covariance[YAW, YAW]))
 
     def _doubtful(self, reason: Reject | None) -> None:
-        """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew.
+        """Reopen the drift filter after a time of distrust: the tracker may be wrong by more than its sigma then.
 
-        A pair that gets no bend counts too: the tracker may be distrusted then (or not, in a short gap of the root).
+        Pairs for which the tracker has no bend count as well, if it is distrusted meanwhile.
         """
         if reason is None and self._distrusted and self.drift_filter.has_matches:
             self._reopen()
@@ -196,7 +197,7 @@ class Correction:
     def _turned(
         self, waiting: PendingPair, bend: tuple[Deflection, Deflection], motion: VehicleMotion, *, use_matches: bool
     ) -> RelativeRotation:
-        """Relative rotation from the matches, or its prediction where the bend at the stamps is not to be trusted."""
+        """Relative rotation from the matches, or its prediction where bend or stamps are not trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, motion.velocity_mps)
         waiting = waiting._replace(matches=waiting.matches.features())
         matches = waiting.matches
@@ -214,7 +215,7 @@ class Correction:
     def _flow(
         self, waiting: PendingPair, rays: Rays, moving: tuple[CameraExposure, CameraExposure], later: Deflection
     ) -> FlowView | None:
-        """Features that the left image of the pair before shows too, where the flight between the two is told."""
+        """Features that the left image of the pair before shows too; None where the flight between is not known."""
         matches, earlier = waiting.matches, self._earlier
         flow = matches.flow
         if flow is None or earlier is None or flow.earlier_pair_id != earlier.pair_id or matches.row_time_ns:
@@ -243,7 +244,7 @@ class Correction:
         )
 
     def _flown(self, earlier: Deflection, later: Deflection) -> FlightBetween | None:
-        """Motion of the body between two exposures; None where it is not told, or they lie far apart."""
+        """Motion of the body between two exposures; None where it is not known, or they lie far apart."""
         from_ns, until_ns = earlier.t_host_ns, later.t_host_ns
         motion = self.vehicle.motion((from_ns + until_ns) // 2)
         turn_rad = self.turns.between(from_ns, until_ns) if 0 < until_ns - from_ns <= LONGEST_NS else None

@@ -1,6 +1,6 @@
-"""Dense disparity for the obstacle picture: semi-global matching on images rectified for this frame's poses.
+"""Dense disparity for obstacle sectors: semi-global matching on images rectified for the poses of this pair.
 
-OpenCV 5 still has ``StereoSGBM`` with its one-pass three-way mode, subpixel steps of 1/16 px and left-right check.
+OpenCV's ``StereoSGBM`` runs in its one-pass three-way mode, with subpixel steps of 1/16 px and a left-right check.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _STEPS_PER_PX = 16.0  # OpenCV's fixed point of disparity
 _LEFT_RIGHT_PX = 1  # OpenCV's usual left-right check
 _UNIQUENESS_PERCENT = 10  # OpenCV's usual value
 _SPECKLE_AREA_PX = 60  # smaller islands of disparity are mismatches (choice)
-# Semi-global matching leans toward whole pixels by a quarter of one; that error is common to a surface, so it does not
-# average out, and metric ranges go through `metric_pairs` (choice).
+# Sigma of a disparity. Semi-global matching is biased toward whole pixels by a quarter of one. All points of a surface
+# share that error, so it does not average out, and ranges use the refined matches of `metric_pairs` (choice).
 _SIGMA_PX = 0.35
-# Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match (choice).
+# Mean absolute horizontal slope of brightness, grey levels per pixel, below which a place has no texture (choice).
 _LEAST_TEXTURE = 3.0
 _TEXTURE_WINDOW_PX = 11  # about two matching blocks (choice)
 _METRIC_SCORE = 0.85  # convention: the score that sparse matches need (FINE_SCORE in matching.py)
-_CLOSE_PX = 20.0  # one refinement window: nearer places show the same texture (derived)
+_CLOSE_PX = 20.0  # side of a refinement window: nearer places show the same texture (derived)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,13 +38,13 @@ class Disparity:
     Attributes
     ----------
     frame : Rectification
-        The frame it was measured in.
+        Rectified frame of the disparity.
     disparity_px : (rows, columns) float32
         Left column minus right column; NaN where there is no trusted match.
     sigma_px : float
         One-sigma of each disparity.
     level : int
-        How often the images were halved first; pixels here are theirs.
+        Number of times that the images were halved first; disparities are in halved pixels.
     """
 
     frame: Rectification
@@ -61,7 +61,7 @@ class DenseMatcher:
     first_px : int
         Smallest disparity.
     count : int
-        How many disparities, a multiple of 16.
+        Number of disparities, a multiple of 16.
     """
 
     def __init__(self, first_px: int = 0, count: int = 64) -> None:
@@ -93,7 +93,7 @@ class DenseMatcher:
 
 
 def textured(image: Bytes) -> Bools:
-    """Where (rows, columns) an image has texture along its rows; a smooth place would match anything."""
+    """Mask (rows, columns) of places with texture along the rows; a smooth place would match anything."""
     slope = cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=1), alpha=0.5)
     mean = cv2.boxFilter(slope, cv2.CV_32F, (_TEXTURE_WINDOW_PX, _TEXTURE_WINDOW_PX))
     enough: Bools = mean > _LEAST_TEXTURE
@@ -106,7 +106,7 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
     Parameters
     ----------
     dense : Disparity
-        Of the rectified pair.
+        Disparity of the rectified pair.
     rig : Rig
         Lenses.
     step_px : int
@@ -115,7 +115,7 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
     Returns
     -------
     tuple
-        Left and right raw pixels (n, 2) and sigma (n,).
+        Left and right raw pixels (n, 2) and sigma (n,), px.
     """
     left, right = _rectified_pairs(dense, step_px)
     left_px = dense.frame.to_raw(rig.left, dense.frame.left, left)
@@ -126,12 +126,12 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
 def metric_pairs(
     dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int, excluded_px: Floats | None = None
 ) -> Matches:
-    """Refine a thinned dense disparity in the raw images: matches fit for ranging, where the sparse ones do not reach.
+    """Refine a thinned dense disparity in the raw images: matches fit for ranging between the features.
 
     Parameters
     ----------
     dense : Disparity
-        Of the rectified pair.
+        Disparity of the rectified pair.
     left, right : (rows, columns) uint8
         The raw pair.
     rig : Rig
@@ -139,7 +139,7 @@ def metric_pairs(
     step_px : int
         Spacing of the grid that is kept, in the raw image.
     excluded_px : (m, 2) float64, optional
-        Left raw pixels near which nothing new is to be seen.
+        Left raw pixels near which no match is wanted: those of the features.
     """
     left_px, right_px, _ = raw_pairs(dense, rig, step_px)
     frame, right_rectified = dense.frame, _rectified_pairs(dense, step_px)[1]
@@ -158,7 +158,7 @@ def metric_pairs(
 
 
 def points(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
-    """Points (n, 3) in body axes on a grid of ``step_px``, and the one-sigma of each one's distance, metres (n,)."""
+    """Points (n, 3), m, body axes, on a grid of ``step_px``, and the one-sigma of their distances (n,), m."""
     frame = dense.frame
     left, right = _rectified_pairs(dense, step_px)
     ahead = left[:, 0] > right[:, 0]

@@ -1,7 +1,7 @@
 """Filter of the slow relative rotation of the cameras, driven by the epipolar geometry of matched features.
 
 ``epipolar_geometry`` has the parallax that the states leave, ``epipolar_states`` their order and priors, and
-``epipolar_posterior`` the update by one pair; the theory is in the room's README.
+``epipolar_posterior`` the update by one pair. Equations and states: EXTRINSICS.md.
 """
 
 from __future__ import annotations
@@ -51,40 +51,40 @@ from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-_CLEARLY_WORSE = 1.5  # chosen: good lenses look so much worse than they are in one flight of eight
-_DOUBT = 2.0  # chosen: of variance, by a pair whose flow contradicts; from eight sigma to four within two pairs
-_MOST_DOUBT = 100.0  # chosen: of variance; a calibration wrong by more than ten sigma is none, or the velocity is wrong
-_MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
-# trace for a pair's own baseline: a tenth of its length flown between exposures (choice); far more is singular
+_CLEARLY_WORSE = 1.5  # ratio of variances that good lenses exceed in one flight of eight (choice)
+_DOUBT = 2.0  # factor of variance by each pair whose flow contradicts: from eight sigma to four in two pairs (choice)
+_MOST_DOUBT = 100.0  # ratio of variances: a calibration ten sigma off is useless, or the velocity is wrong (choice)
+_MIN_MATCHES = 12  # three for a rotation, and three times as many to find outliers by (choice)
+# largest trace of SHIFT's covariance: a tenth of the baseline flown between the exposures (choice); more is singular
 _MAX_SHIFT_RAD2 = 0.01
-# the tracker's fast error is neither white nor quite Gaussian: its variance counts threefold in tests (choice)
+# in the test of an innovation: the tracker's fast error is neither white nor quite Gaussian (choice)
 _FAST_VARIANCE_FACTOR = 3.0
-_CONTRADICTION_NS = 2_000_000_000  # a toe that has changed is found again within so long (choice)
-_VELOCITY_TIME_S = 10.0  # how long a navigation filter's velocity stays wrong the same way (choice)
+_CONTRADICTION_NS = 2_000_000_000  # within so long the flow finds a changed toe again (choice)
+_VELOCITY_TIME_S = 10.0  # correlation time of a navigation filter's velocity error (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarUpdate:
-    """Relative rotation of the right camera beyond the believed one, as vectors in the epipolar frame.
+    """Relative rotation of the right camera beyond the tracked one, as rotation vectors in the epipolar frame.
 
     Attributes
     ----------
     slow_rad, slow_covariance : (3,), (3, 3) float64
-        Pitch, yaw, roll of the slow part alone, the bend's included: what to carry to the next pair.
+        Pitch, yaw, roll of the slow part, that of the bend included: valid for the next pairs, too.
     total_rad, total_covariance : (3,), (3, 3) float64
-        Slow part and this pair's error of the fast part: what to correct this pair by.
+        Slow part, and fast part and innovation of this pair: the correction of this pair.
     lens, joint_covariance : (9,), (12, 12) float64
         Terms of the lens residual; covariance of total rotation and lens terms together.
     parallax_scale : float
-        How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
+        Scatter of the parallaxes over their stated sigma, at least 1. It inflates every covariance.
     used : int
         Matches with at least half their weight.
     flow : int
         Features whose flow since an earlier pair was used.
     verdict : MatchVerdict
-        Whether the matches go with what was believed before them.
+        Result of the test of the matches against the prediction.
     flow_contradicts : bool
-        The pair's flow was refused, shortly after that of another was used.
+        Whether the pair's flow was refused within two seconds of a flow that was used.
     """
 
     slow_rad: Floats
@@ -103,12 +103,12 @@ class EpipolarUpdate:
 class EpipolarFilter:
     """Iterated, robust Kalman filter of the slow relative rotation, one update per matched pair.
 
-    The fast part comes from the wing tracker: its pose is in the rays that are given, its error has the covariance and
-    the correlation time that are given. The slow part walks at random.
+    The fast part comes from the wing tracker: the given rays contain its pose, and its error has the given covariance
+    and correlation time. The slow part is an Ornstein-Uhlenbeck process.
 
-    Each pair is solved with a rotation of its own that may be anything, the innovation. Where it goes with zero, it is
-    set to zero again; where it contradicts, the pair has it (a stamp that is wrong), and where the contradiction stays
-    the slow part has it (a camera that was knocked): see :class:`~companion.core.stereo.consistency_gate.MatchTest`.
+    Each pair is solved with a free rotation of its own, the innovation. If the innovation agrees with zero, it is bound
+    to zero. If it contradicts once, it stays with the pair (a wrong stamp). If the contradiction lasts, the slow part
+    takes it (a turned camera): see :class:`~companion.core.stereo.consistency_gate.MatchTest`.
     """
 
     def __init__(self, rig: Rig, prior: ExtrinsicsPrior) -> None:
@@ -121,7 +121,7 @@ class EpipolarFilter:
         self._velocity_covariance = np.zeros((3, 3))
         self._bend_variance = 0.0
         self.lens_ratio = 1.0
-        """Prior variance of the lens terms over the stated one."""
+        """Prior variance of the lens terms over the one that the calibration states."""
         self._updated_ns: int | None = None
         self._flow_used_ns: int | None = None
         self._test = MatchTest()
@@ -133,13 +133,13 @@ class EpipolarFilter:
         return self._updated_ns is not None
 
     def reopen(self) -> None:
-        """Doubt the rotation about every axis by ``KNOCK_RAD`` more: only what matches tell from now on counts."""
+        """Add ``KNOCK_RAD`` squared to the variance about every axis: matches measure the rotation anew from now on."""
         self._covariance[:3, :3] += KNOCK_RAD**2 * np.eye(3)
         self._forget_flight()
         self._test = MatchTest()
 
     def _forget_flight(self) -> None:
-        """Begin again with velocity and rates, which a wrong rotation has taught wrong errors."""
+        """Set the errors of velocity and rates to their prior: a wrong rotation has made them wrong."""
         self._mean, self._velocity_covariance = self._mean.copy(), np.zeros((3, 3))
         self._mean[FLIGHT] = self._covariance[FLIGHT] = self._covariance[:, FLIGHT] = 0.0
         self._covariance[TURN_RATE, TURN_RATE] = self._prior.turn_rate_radps**2 * np.eye(3)
@@ -155,30 +155,31 @@ class EpipolarFilter:
         flow: FlowView | None = None,
         axes: LensAxes | None = None,
     ) -> EpipolarUpdate | Reject:
-        """Take the matches of one pair.
+        """Update by the matches of one pair.
 
         Parameters
         ----------
         rays : Rays
-            Matched rays in body axes, by the believed fast part (``triangulation.match_rays``).
+            Matched rays in body axes, by the tracked bend (``triangulation.match_rays``).
         sigma_rad : (n,) float64
             One-sigma of each parallax.
         fast : FastBelief
-            Error of the believed fast relative rotation.
+            Error of the fast relative rotation by the tracker.
         t_host_ns : int
-            Mid-exposure.
+            Midway between both mid-exposures.
         bend : BendBelief
-            Slow error of the believed bend; none where the fast covariance has it all.
+            Slow error of the tracked bend; none where the fast covariance contains all of it.
         shift_covariance : (2, 2) float64
-            Of this pair's own baseline direction, y and z: flight between the exposures.
+            Covariance of this pair's own error of the baseline's direction, y and z, rad^2.
         flow : FlowView, optional
             Features that an earlier left image shows too.
         axes : LensAxes, optional
-            Of both cameras as believed, body axes; at rest, if not given.
+            Axes of both cameras by the tracked bend, body axes; at rest if not given.
 
         Returns
         -------
-        EpipolarUpdate, or the Reject (too few matches, time backwards, not finite); then nothing has changed.
+        EpipolarUpdate or Reject
+            A Reject (too few matches, time backwards, not finite) leaves the filter unchanged.
         """
         refused = self._refuse(rays, sigma_rad, t_host_ns)
         if refused is not None:
@@ -210,7 +211,7 @@ class EpipolarFilter:
         prior: Floats,
         bend: BendBelief,
     ) -> tuple[Posterior, MatchVerdict]:
-        """Posterior of one pair with as much innovation as the test grants, and the test's verdict."""
+        """Posterior of one pair, its innovation bound by what the test grants, and the test's verdict."""
         answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
         tested = innovation_of(answer).loosened(
             self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance + fast.stamps
@@ -223,10 +224,10 @@ class EpipolarFilter:
         return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
 
     def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
-        """The answer with what the flow tells, and whether that contradicts it, shortly after flow that agreed.
+        """Posterior after the flow, and whether the flow contradicts within two seconds of one that was used.
 
-        A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside. One that has
-        never agreed shows a keystone that matches cannot tell from toe: a calibration that is doubted pair by pair.
+        A flow that contradicts for longer means a velocity that has become wrong; it is not used. If no flow was ever
+        used, the keystone is wrong, which matches cannot tell from toe: each such pair doubles all variances.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
         innovation = flow.without(answer.outlier).innovation(
@@ -251,11 +252,11 @@ class EpipolarFilter:
         return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
     def _doubt_lenses(self) -> None:
-        """Widen what is believed where the observed lens terms are wrong by more than their prior.
+        """Inflate the covariance if the observed lens terms are larger than their prior allows.
 
-        All lens terms come from one calibration. The error of the mean is linear in errors of priors and noise, by
-        gains that lie in the past: had the lenses' priors been so much wider, its covariance were at most as many times
-        what it is. Pairs to come weigh less what was learnt under narrower ones.
+        All lens terms come from one calibration. The error of the mean is linear in errors of priors and noise, with
+        gains of past updates. Had the priors of the lenses been wider by a factor, the covariance would be at most that
+        factor times what it is. So later pairs have more weight.
         """
         lens = self._covariance[LENS, LENS]
         ratio = lens_ratio(self._mean[LENS], lens, np.array(self._prior.lens) ** 2, self.lens_ratio)
@@ -263,7 +264,7 @@ class EpipolarFilter:
             self._covariance, self.lens_ratio = ratio / self.lens_ratio * self._covariance, ratio
 
     def _first_variances(self) -> Floats:
-        """Variances of the persistent states before any pair; those of bend, fast part and velocity come with each."""
+        """Variances of the persistent states before any pair; each pair sets those of bend, fast part and velocity."""
         prior, none = self._prior, [0.0] * 3
         constants = [prior.yaw_bias_rad**2, prior.bend_scale**2]
         return np.array([*prior.variances(), 0.0, *constants, *none, *none, *[prior.turn_rate_radps**2] * 3])
@@ -271,17 +272,17 @@ class EpipolarFilter:
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
         """Rotation and lens terms (12,) and their covariance (12, 12) at a time at or after the last update.
 
-        The rotation is slow part and error of scale; this pair's own fast part is not in it.
+        The rotation consists of the slow part and the error of scale. It has no fast part of a pair.
         """
         mean, covariance = self._predicted(t_host_ns, bend, FastBelief(np.zeros((3, 3))), self._velocity_covariance)
         gather = with_lens_rows(rotation_rows(bend))[:, :SLOW_STATES]
         return gather @ mean[:SLOW_STATES], gather @ covariance[:SLOW_STATES, :SLOW_STATES] @ gather.T
 
     def _predicted(self, t_host_ns: int, bend: BendBelief, fast: FastBelief, velocity: Floats) -> tuple[Floats, Floats]:
-        """Mean and covariance before the pair: the rotation wanders, the bend's error shrinks as the tracker learns.
+        """Mean and covariance before the pair: the rotation walks, the bend's error shrinks as the tracker learns.
 
-        The tracker's next error is independent of what it learns until then, so of the part ``1 - s1^2/s0^2`` that it
-        learns nothing is left: mean and deviations shrink by ``s1^2/s0^2``, and its own sigma fills the rest.
+        The tracker's error after learning is independent of the part ``1 - s1^2/s0^2`` of its variance that it has
+        learned. So mean and deviations shrink by ``k = s1^2/s0^2``, and noise of variance ``s1^2 - k^2 s0^2`` is added.
         """
         first = self._updated_ns is None
         passed_s = 0.0 if self._updated_ns is None else max(t_host_ns - self._updated_ns, 0) * 1e-9

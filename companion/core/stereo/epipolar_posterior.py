@@ -1,7 +1,7 @@
-"""Maximum a posteriori of the epipolar filter's states given one pair's matches, and what is done with its innovation.
+"""Update of the epipolar filter's states by one pair: matches, its innovation, considered states, flow.
 
-Residuals have Student's t distribution (Lange, Little and Taylor 1989); the rotation is exact in every Gauss-Newton
-step. Each pair has a rotation that may be anything, the innovation, and a baseline direction, both without a past.
+Residuals have Student's t distribution (Lange, Little and Taylor 1989). The rotation is exact in every Gauss-Newton
+step. Each pair has a free rotation, the innovation, and an error of the baseline's direction. Both are white.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ from companion.records import Bools, Floats
 from companion.units import MAD_TO_SIGMA
 
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
-# degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight (choice)
+# degrees of freedom of the matches' errors: outliers lose weight, good matches keep nearly all of theirs (choice)
 _STUDENT_DOF = 5.0
-_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information (numerical)
-# share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too (choice)
+_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: states without variance keep a finite information (numerical)
+# share of the innovation's prior that stays: a rotation which no match shows has a finite sigma too (choice)
 _PRIOR_REMAINDER = 1e-3
-_FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
-# sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend have: twist,
-# rates between their samples (choice: a tenth of a pixel); what these add of their own comes with each pair
+_FLOW_ROUNDS = 3  # reweightings of the flow, which is nearly linear (choice)
+# sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend show: twist,
+# rates between their samples (choice: a tenth of a pixel); errors of gyro and tracked bend come with each pair
 _FLOW_TURN_RAD = 1e-4
-# residual of an outlier (choice): of features without fault the flow loses one in 185
+# residual of an outlier (choice): the flow loses one in 185 of the sound features
 _OUTLIER_SIGMAS = 3.0
-_FLOW_SIGMAS = 4.0  # a yaw or velocity that one pair's flow moves by more contradicts what is known of it (choice)
-_FLOW_DOUBT_SIGMAS = 2.5  # what it moves beyond this stays in the sigma: chance explains one pair in eighty (choice)
+_FLOW_SIGMAS = 4.0  # a flow that moves yaw or velocity by more contradicts the states (choice)
+_FLOW_DOUBT_SIGMAS = 2.5  # what it moves beyond this is added to the covariance: one pair in eighty by chance (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Mean (all states,) and covariance given a pair, scale of its parallaxes, and which of its matches (n,) go astray.
+    """Mean (all states,) and covariance given a pair, scale of its parallaxes, and mask (n,) of its outliers.
 
-    ``used`` is the number of matches with half their weight, ``flow`` that of features in the flow update, 0 without
-    one.
+    ``used`` is the number of matches with more than half their weight. ``flow`` is the number of features in the flow
+    update, 0 without one.
     """
 
     mean: Floats
@@ -68,7 +68,7 @@ class Posterior:
 
 
 def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
-    """Prior covariance (n, n) of all states: those that stay from pair to pair, this pair's baseline and innovation.
+    """Prior covariance (n, n) of all states: persistent ones, this pair's baseline direction and innovation.
 
     ``persistent_covariance`` (p, p), and ``shift_covariance`` (2, 2) of the baseline's direction.
     """
@@ -81,18 +81,18 @@ def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floa
 def maximum_a_posteriori(
     epipolar_rays: Rays, axes: LensAxes, sigma_rad: Floats, carried: Floats, covariance: Floats, bend: BendBelief
 ) -> Posterior:
-    """Posterior by reweighted Gauss-Newton; bend, fast part and innovation add to the slow rotation.
+    """Posterior by reweighted Gauss-Newton steps.
 
     Parameters
     ----------
     epipolar_rays : Rays
         n matched rays in the epipolar frame.
     axes : LensAxes
-        Of both cameras, in the epipolar frame.
+        Axes of both cameras, in the epipolar frame.
     sigma_rad : (n,) float64
         One-sigma of each parallax.
     carried, covariance : (persistent states,), (all states, all states) float64
-        Prior mean of the states that stay from pair to pair, and of all states their prior covariance.
+        Prior mean of the persistent states, and prior covariance of all states.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
@@ -108,13 +108,13 @@ def maximum_a_posteriori(
         residual_rad, columns = parallax(epipolar_rays, axes, total)
         design = columns[:, :3] @ gather
         design[:, 3:PARALLAX_STATES], design[:, SHIFT] = columns[:, 3:], columns[:, BASELINE]
-        # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
+        # the first scale contains the rotation itself; as its residual shrinks, outliers stand out
         unit = residual_rad / sigma_rad
         scale = max(MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
         unit = unit / scale
         weight = (_STUDENT_DOF + 1.0) / (_STUDENT_DOF + unit**2)
         weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
-        # Fisher information counts weighted squares, the pull counts weighted residuals
+        # information: weighted squares of the design; pull: weighted residuals and the prior
         information = prior_information + weighted.T @ (design / (scale * sigma_rad)[:, np.newaxis])
         pull = weighted.T @ unit + prior_information @ (mean - state)
         state = state + np.linalg.solve(information, pull)
@@ -123,7 +123,7 @@ def maximum_a_posteriori(
 
 
 def innovation_of(answer: Posterior) -> Innovation:
-    """Innovation with its own prior taken out: zero within its covariance, if all is well."""
+    """Innovation with its own prior taken out: zero within its covariance, if nothing is wrong."""
     information = np.linalg.inv(answer.covariance[INNOVATION, INNOVATION])
     pull = information @ answer.mean[INNOVATION]
     covariance = np.asarray(
@@ -133,7 +133,7 @@ def innovation_of(answer: Posterior) -> Innovation:
 
 
 def with_bound_innovation(answer: Posterior, granted_rad2: Floats) -> Posterior:
-    """The answer with a granted covariance (3, 3) as the innovation's prior: 0 binds it to what is believed."""
+    """The posterior with a granted covariance (3, 3), rad^2, as the innovation's prior: 0 binds the innovation to 0."""
     block, innovation = answer.covariance[INNOVATION, INNOVATION], innovation_of(answer)
     gain = np.linalg.solve(innovation.covariance + granted_rad2, granted_rad2).T
     mean, covariance = gain @ innovation.rotation_rad, granted_rad2 - gain @ granted_rad2
@@ -146,9 +146,10 @@ def with_bound_innovation(answer: Posterior, granted_rad2: Floats) -> Posterior:
 
 
 def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, considered: list[int]) -> Posterior:
-    """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain.
+    """The posterior with the considered states as before the update (Schmidt 1966).
 
-    ``mean`` (n,) and ``prior`` (n, n) are those before.
+    The other states keep their mean and covariance, whose gain accounts for the considered ones. ``mean`` (n,) and
+    ``prior`` (n, n) are those before.
     """
     after, covariance = answer.mean.copy(), answer.covariance.copy()
     after[considered] = mean[considered]
@@ -165,26 +166,26 @@ def with_flow(
     bend: BendBelief,
     stamp_sigma_s: float = 0.0,
 ) -> Posterior | None:
-    """The answer updated by the flow since an earlier pair; None where that contradicts it, or is of too few.
+    """The posterior updated by the flow since an earlier pair; None if that contradicts, or has too few features.
 
-    The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
-    constant rate error, this pair has errors of its own, which are marginalised: of the turn, with sigma
-    :data:`_FLOW_TURN_RAD` per axis and ``turn_covariance`` besides, and of both stamps.
+    The flow's rows are linear about the posterior, with Student's t as in :func:`maximum_a_posteriori`. Besides the
+    constant rate error, this pair has errors of its own, which are marginalised: one of the turn, with sigma
+    :data:`_FLOW_TURN_RAD` per axis and ``turn_covariance``, and one of each stamp.
 
     Parameters
     ----------
     answer : Posterior
-        Given the pair's matches, and about whose mean ``flow`` was predicted.
+        Posterior given the pair's matches.
     flow : FlowInnovation
-        About that mean.
+        Flow observed less predicted by the mean of that posterior.
     passed_s : float
-        Time between the exposures.
+        Time between the exposures, s.
     turn_covariance : (3, 3) float64
-        Covariance of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2.
+        Covariance of the left camera's turn beyond that by rates and tracker, epipolar axes, rad^2.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     stamp_sigma_s : float
-        One-sigma of each exposure's stamp.
+        One-sigma of each exposure's stamp, s.
     """
     if not flow.is_enough:
         return None
@@ -209,8 +210,8 @@ def with_flow(
         residual = normalised - design @ change
         scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
         weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (residual / scale) ** 2), 1.0) / scale**2
-        # A wrong feature is wrong along its path and across it, and its error is in rows and residual alike, which
-        # pulls at toe and velocity, pair by pair the same: it must not pull at all.
+        # The error of a wrong feature is in rows and residual alike, which biases toe and velocity the same way in
+        # every pair. So it has no weight, neither along its path nor across it.
         outlier = np.abs(residual).reshape(-1, 2).max(axis=1) > _OUTLIER_SIGMAS * scale
         weight[np.repeat(outlier, 2)] = 0.0
         information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
@@ -224,20 +225,20 @@ def with_flow(
         return None
     beyond = 1.0 - _FLOW_DOUBT_SIGMAS**2 * removed / np.maximum(moved, _VARIANCE_FLOOR_RAD2)
     doubted = change.copy()
-    doubted[CONSIDERED_IN_FLOW_STATES] = 0.0  # they are put back as they were, and their covariance with them
+    doubted[CONSIDERED_IN_FLOW_STATES] = 0.0  # they are put back by the caller, with their covariance
     covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(doubted, doubted)
     return dataclasses.replace(answer, mean=answer.mean + change, covariance=covariance, flow=int(finite.sum()) // 2)
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a positive matrix whose states have units of very different size."""
+    """Inverse of a positive definite matrix, scaled first: the variances differ by many orders."""
     unit = 1.0 / np.sqrt(np.diag(matrix))
     inverse: Floats = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
     return inverse
 
 
 def _square_root(covariance: Floats) -> Floats:
-    """Square root (n, n) of a covariance whose states have units of very different size."""
+    """Square root (n, n) of a covariance, scaled first: the variances differ by many orders."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(sigma > 0.0, sigma, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))

@@ -1,12 +1,12 @@
-"""States of the epipolar filter, their order, and what is believed of them before a pair's matches.
+"""States of the epipolar filter, their order, and their priors before a pair's matches.
 
-The wing tracker's slow error (trim bend, tilt bias) turns the cameras about one axis that the rig determines; it is a
-state, so that what the accelerometers tell of it counts, and only that: see :class:`BendBelief`. An error of scale of
-the tracker (gyros, slope factor) turns them by a constant fraction of the fast bend: another state, learnt over pairs.
+The wing tracker's slow error (trim bend, tilt bias) turns the cameras about one axis that the rig determines. It is a
+state, so that it has the tracker's own sigma: see :class:`BendBelief`. An error of scale of the tracker (gyros, slope
+factor) turns the cameras by a constant fraction of the fast bend. It is another state, learned over pairs.
 
-Matches of one pair, and of pairs that follow each other, share errors: interpolation, lenses and blur leave hundredths
-of a pixel that stay in their places. Across the epipolar lines they look like a yaw. That false yaw is a constant
-state, observed together with the true one and not separable from it by any number of pairs.
+Matches of one pair, and of consecutive pairs, share errors: interpolation, lenses and blur leave hundredths of a pixel
+that stay in their places. Across the epipolar lines they look like a yaw. This false yaw is a constant state. It is
+observed together with the true yaw, and no number of pairs separates them.
 """
 
 from __future__ import annotations
@@ -21,53 +21,54 @@ from companion.records import Floats
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z = range(5)
 BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
-PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for (by definition)
+PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states with a column of their own in the parallax (by definition)
 LENS = slice(BASELINE_Z + 1, PARALLAX_STATES)
 CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
 CONSIDERED_IN_FLOW_STATES = [LENS.start + term for term in CONSIDERED_IN_FLOW]
 BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
 SLOW_STATES = BEND_SCALE + 1  # states of the slow part (by definition)
 FAST = slice(SLOW_STATES, SLOW_STATES + 3)
-# errors of velocity over ground and of rates of turn, by which the flow is predicted
+# errors of velocity over ground (m/s) and of rates of turn (rad/s), which predict the flow
 VELOCITY, TURN_RATE = slice(FAST.stop, FAST.stop + 3), slice(FAST.stop + 3, FAST.stop + 6)
 FLIGHT = slice(VELOCITY.start, TURN_RATE.stop)
 PERSISTENT_STATES = TURN_RATE.stop  # states that stay from pair to pair
-# with this pair's error of the baseline's direction, and its innovation (by definition)
+# and two of this pair's baseline direction, three of its innovation (by definition)
 ALL_STATES = PERSISTENT_STATES + 5
 SHIFT = slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
 INNOVATION = slice(PERSISTENT_STATES + 2, ALL_STATES)
 
 SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
-"""Pitch, yaw and roll that a rendered pair over ground shows without having turned, rad, 1 sigma (measured)."""
+"""Sigma of pitch, yaw and roll in rendered pairs over ground whose cameras have not turned, rad (measured)."""
 
 DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001, 0.0003, 0.0003)
-"""Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say (derived)."""
+"""Sigma of a pair's lens terms by the defaults of an airframe's camera (derived)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsPrior:
-    """Prior of the slow relative rotation and of the lenses' differences, before any picture.
+    """Prior of the slow relative rotation and of the lens terms, before any pair.
 
     Attributes
     ----------
     rotation_rad : float
-        Sigma of each axis, at the start and after a long time unseen: thermal set, mounting, what no model has.
+        Sigma about each axis, at the start and after a long time without matches: mounting and thermal set.
     walk_rad_rts : float
-        How fast it wanders, per square root of a second; it is pulled back so that its sigma stays ``rotation_rad``.
+        Its random walk, rad per square root of a second. It is pulled back so that its sigma stays ``rotation_rad``.
     baseline_rad : float
         Sigma of the baseline's direction, a constant: mounting, static bend that differs between the wings.
     lens : tuple of float
         Sigma of each term of the lens residual, in the order of ``lens_residual``; constants.
     yaw_bias_rad : float
-        Sigma of the yaw that errors common to all pairs make up; a constant.
+        Sigma of the false yaw by matching errors that all pairs share; a constant.
     bend_scale : float
-        Sigma of the relative error of the tracked bend's fast part; a constant of a flight.
+        Sigma of the relative error of the fast part of the tracked bend; a constant of a flight.
     turn_rate_radps : float
         Sigma of the root gyro's bias, rad/s, each axis; a constant.
     parallax_rad : float
-        What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
+        Sigma that slanted surfaces and lens models add to every parallax, rad, beyond the stated sigma of the match.
     systematic_rad : tuple of float
-        Pitch, yaw and roll that interpolation, lenses, slopes and the cameras' places feign for seconds: no knock.
+        Sigma of the pitch, yaw and roll that interpolation, lenses, slopes and the cameras' places feign for seconds.
+        The test for a turned camera allows them.
     """
 
     rotation_rad: float = 0.005
@@ -81,15 +82,15 @@ class ExtrinsicsPrior:
     systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 
     def variances(self) -> Floats:
-        """Diagonal (14,) of the first covariance, bend and steady error left out."""
+        """Variances (14,) of rotation, baseline and lens terms before any pair."""
         sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + list(self.lens)
         return np.array(sigmas, dtype=np.float64) ** 2
 
     @property
     def time_s(self) -> float:
-        """Correlation time of the rotation: an Ornstein-Uhlenbeck process with this sigma and walk.
+        """Correlation time of the rotation, s: an Ornstein-Uhlenbeck process with this sigma and walk.
 
-        A rotation without a sigma stays what it is, for ever: a knock turns it once.
+        Infinite for a rotation without sigma: it changes only when the filter is reopened.
         """
         if self.rotation_rad <= 0.0:
             return math.inf
@@ -98,18 +99,18 @@ class ExtrinsicsPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendBelief:
-    """Errors of the wing tracker that last, slopes common to both tips: slow error, and one of scale.
+    """Lasting errors of the wing tracker in the slope common to both tips: a slow one, and one of scale.
 
     Attributes
     ----------
     direction : (3,) float64
         Relative rotation per radian of that slope, in the epipolar frame.
     sigma_rad : float
-        Of the slope, now.
+        Sigma of the slow error of the slope, now.
     time_s : float
-        How long the error stays what it is: that of the inertial biases.
+        Correlation time of the slow error: that of the inertial biases.
     fast_rad : float
-        The fast part of the tracked slope: an error of scale turns the cameras by a constant fraction of it.
+        Fast part of the tracked slope. An error of scale turns the cameras by a constant fraction of it.
     """
 
     direction: Floats
@@ -120,16 +121,16 @@ class BendBelief:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FastBelief:
-    """Error of the wing tracker's fast part, a process of first order, and of the stamps, each pair's own.
+    """Error of the wing tracker's fast part, a process of first order, and that of the stamps, white.
 
     Attributes
     ----------
     covariance : (3, 3) float64
-        Of pitch, yaw, roll in the epipolar frame, now; rad^2.
+        Covariance of pitch, yaw, roll by the fast part in the epipolar frame, now, rad^2.
     time_s : float
-        Correlation time; 0: independent from pair to pair.
+        Correlation time of the fast part; 0: independent from pair to pair.
     stamps : (3, 3) float64
-        Covariance of the turn of the cameras between the stamped exposures and the true ones; rad^2.
+        Covariance of the cameras' turn between the stamped exposures and the true ones, rad^2.
     """
 
     covariance: Floats
@@ -142,7 +143,7 @@ NO_SHIFT = np.zeros((2, 2))
 
 
 def rotation_rows(bend: BendBelief) -> Floats:
-    """Rows (3, all states) that add up the relative rotation: slow part, fast part and innovation."""
+    """Rows (3, all states) of the sum of all states in the relative rotation: slow part, fast part, innovation."""
     rows = np.zeros((3, ALL_STATES))
     rows[:, :3] = rows[:, FAST] = rows[:, INNOVATION] = np.eye(3)
     rows[:, BEND], rows[:, BEND_SCALE] = bend.direction, bend.fast_rad * bend.direction
@@ -150,5 +151,5 @@ def rotation_rows(bend: BendBelief) -> Floats:
 
 
 def with_lens_rows(rotation: Floats) -> Floats:
-    """Rows (k, all states) that give the lens terms, below the three that add up a rotation."""
+    """Rows (12, all states): the three of a rotation, and below them those of the nine lens terms."""
     return np.concatenate([rotation, np.eye(rotation.shape[1])[LENS]])

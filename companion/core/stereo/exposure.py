@@ -1,4 +1,4 @@
-"""Where each camera was and looked while it exposed: wing bend, rigid motion between the shots, rolling shutter."""
+"""Pose and rates of each camera while it exposed: wing bend, rigid motion between the exposures, rolling shutter."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class CameraExposure:
     pose : Pose
         At the camera's own mid-exposure.
     rate_radps : (3,) float64
-        How fast the camera turns: rigid body rate and the wing's bending.
+        Rate of turn of the camera: rigid body rate and bending of the wing.
     velocity_mps : (3,) float64
-        How fast the rigid body rate moves the camera.
+        Velocity of the camera by the rigid body rate alone (rate x place).
     after_s : float
-        How long after the instant midway.
+        Time of the mid-exposure after the instant midway, s.
     """
 
     pose: Pose
@@ -37,7 +37,7 @@ class CameraExposure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipMotion:
-    """How modal coordinates move a tip: what a :class:`Deflection` leaves to the airframe.
+    """Slope and twist of a tip per metre of modal coordinate, from the airframe file.
 
     ``slope_radpm`` and ``twist_radpm`` are (2,), for the symmetric and antisymmetric coordinate.
     """
@@ -56,7 +56,7 @@ class TipMotion:
 
 
 def tip_signs(side: Side) -> Floats:
-    """Factors (2,) of symmetric and antisymmetric coordinate at a tip: left is the difference, right the sum."""
+    """Signs (2,) of symmetric and antisymmetric coordinate at a tip: left is their difference, right their sum."""
     return np.array([1.0, -1.0 if side is Side.LEFT else 1.0])
 
 
@@ -74,7 +74,7 @@ def exposures(
     left, right : Deflection
         The wing at the left and at the right mid-exposure.
     velocity_mps : (3,) float64, optional
-        The aircraft's velocity in body axes; moves the cameras between the two exposures.
+        The aircraft's velocity in body axes, which moves the cameras between the two exposures.
     """
     middle_ns = (left.t_host_ns + right.t_host_ns) // 2
     drift = np.zeros(3) if velocity_mps is None else velocity_mps
@@ -89,8 +89,8 @@ def with_relative_rotation(
 ) -> tuple[CameraExposure, CameraExposure]:
     """Both exposures with the cameras turned against each other by a small rotation vector (3,), body axes.
 
-    The right camera takes half of it and the left one the opposite half: bending of both wings does it so, and where
-    the pair looks stays what it was.
+    The right camera takes half of it and the left one the opposite half, as bending of both wings does. The mean
+    viewing direction stays.
     """
     halves = (-0.5 * rotation_rad, 0.5 * rotation_rad)
     left, right = (
@@ -106,7 +106,7 @@ def with_relative_rotation(
 
 
 def rest_exposures(rig: Rig) -> tuple[CameraExposure, CameraExposure]:
-    """Exposures of the ground calibration: both cameras at rest, nothing bends, nothing moves."""
+    """Exposures of the ground calibration: both cameras at rest, no bend and no motion."""
     still = np.zeros(3)
     return CameraExposure(rig.left.rest, still, still), CameraExposure(rig.right.rest, still, still)
 
@@ -120,10 +120,10 @@ def bent_pose(camera: MountedCamera, tips: TipMotion, bend: Deflection) -> Pose:
 
 
 def slope_change_sigma_rad(earlier: Deflection, later: Deflection, side: Side) -> float:
-    """One-sigma of a tip's change of slope between two instants beyond the tracked one, rad.
+    """One-sigma error of the tracked change of a tip's slope between two instants, rad.
 
-    The tip's error beside the slow one that both share is a process of first order with the correlation time that the
-    tracker tells; a lasting difference of the tips counts as fast, on the safe side.
+    Besides the slow error that both tips share, the tip's error is a process of first order with the tracker's
+    correlation time. A lasting difference between the tips counts as fast, on the safe side.
     """
     variances = [
         max(float(b.covariance[4 + side, 4 + side]) - b.slow_slope_sigma_rad**2, 0.0) for b in (earlier, later)

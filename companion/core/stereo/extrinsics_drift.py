@@ -1,8 +1,8 @@
-"""Holds the slow part of the relative rotation: what the tracker tells, what the matches say, and both fused.
+"""Slow relative rotation of the cameras, estimated from the wing tracker and the matches.
 
-The tracker gives each tip's slope with a covariance, and which part of it is slow (trim bend, tilt bias). The rest is
-fast: a process of first order. Mounting and thermal set of the cameras no inertial sensor sees. Out comes the
-relative rotation to take out of this pair, with its covariance; without matches, what is left of the last ones.
+The tracker gives each tip's slope with a covariance, and the part of it that is slow (trim bend, tilt bias). The rest
+is fast: a process of first order. No inertial sensor shows mounting and thermal set of the cameras. The output is the
+relative rotation to take out of this pair, with its covariance. Without matches it is a prediction.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.params.airframe import Airframe
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 
-# of a pair whose cameras nothing is stated of: heat that turns each by 0.12 mrad within ten minutes; so a calibration
-# that is wrong beyond its sigma is found again, slowly (choice)
+# least walk, where the airframe file states no drift: that of cameras which heat turns by 0.12 mrad within ten minutes.
+# So matches slowly correct a calibration that is wrong beyond its sigma (choice)
 _MIN_WALK_RAD_RTS = 1e-5
-_CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known (choice)
-_YAW_BIAS_PX = 0.01  # what matching leaves in its place from pair to pair, in the corner of the image (choice)
-# Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: half a
-# milliradian of pitch and roll for seconds. Yaw is granted no more than to a pair that looks down: its innovation in
-# three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas (measured), and a
-# knock in yaw alone shows in nothing else.
+_CAMERA_PLACE_SIGMA_M = 0.0005  # sigma of a camera's place across the baseline (choice)
+_YAW_BIAS_PX = 0.01  # matching error that all pairs share, in the corner of the image (choice)
+# Pitch, yaw and roll ahead. Over obstacles at many distances errors of the cameras' places (wind, exposures apart) look
+# like rotations: half a milliradian of pitch and roll for seconds. Yaw has the sigma of a pair that looks down: its
+# innovation in three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas (measured), and a camera turned in
+# yaw alone shows in nothing else.
 _SYSTEMATIC_AHEAD_RAD = (5e-4, 3e-4, 5e-4)
-_FAST_TIME_S = 2.0  # bend that lasts longer is slow: trim, load factor; the first modes lie far above (choice)
+_FAST_TIME_S = 2.0  # slower bend is slow: trim, load factor; the first modes are far faster (choice)
 _MANOEUVRE_S = 3.0  # a roll or a pull-up and its recovery: correlation time of the error that it brings (choice)
-_RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone (choice)
+_RIPPLE = 1.25  # ratio by which the stated slow sigma may rise by load alone (choice)
 
 
 class ExtrinsicsDriftFilter:
-    """State of the slow part for one airframe; pure, driven by pairs in order of exposure."""
+    """Filter of the slow relative rotation for one airframe, driven by pairs in order of exposure."""
 
     def __init__(self, rig: Rig, airframe: Airframe) -> None:
         self._rig = rig
@@ -48,9 +48,9 @@ class ExtrinsicsDriftFilter:
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
         self.verdict = MatchVerdict.AGREE
         self.flow_contradicts = False
-        """Whether the last pair's flow contradicts what is believed of the toe, shortly after flow that agreed."""
+        """Whether the last pair's flow contradicts the toe, within two seconds of a flow that was used."""
         self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
-        """Covariance (12, 12) of the last rotation that was given and of its lens terms, epipolar frame."""
+        """Covariance (12, 12) of the last rotation returned and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf
         self._bend_ns = 0
         self._mean_slope_rad: float | None = None
@@ -66,11 +66,11 @@ class ExtrinsicsDriftFilter:
 
     @property
     def lens_ratio(self) -> float:
-        """Variance of the lens residuals over what the calibration states, as matches tell it; at least 1."""
+        """Variance of the lens residuals over the stated one, estimated from matches; at least 1."""
         return self._filter.lens_ratio
 
     def reopen(self) -> None:
-        """Doubt what is known of the rotation: only what matches tell from now on counts."""
+        """Widen the rotation's variance: matches measure it anew from now on."""
         self._filter.reopen()
 
     def update(
@@ -85,22 +85,22 @@ class ExtrinsicsDriftFilter:
         flow: FlowView | None = None,
         use_matches: bool = True,
     ) -> RelativeRotation:
-        """Take one pair.
+        """Update by one pair.
 
         Parameters
         ----------
         matches : MatchSet
-            For its sigmas and numbers.
+            The features; sigmas and pair number are read.
         rays : Rays
-            Its rays by the tracked bend alone.
+            Their rays by the tracked bend alone, body axes.
         bend : tuple of Deflection
             The tracked wing at the left and at the right exposure.
         exposures : tuple of CameraExposure
-            For how the cameras look, and how fast they turn.
+            Attitudes and rates of turn of the cameras.
         timing_sigma_s : float
-            One-sigma of each exposure's stamp.
+            One-sigma of each exposure's stamp, s.
         motion : VehicleMotion
-            The aircraft's velocity, by which it is in the rays, and its covariance.
+            The aircraft's velocity, which the rays contain, and its covariance.
         flow : FlowView, optional
             Features that an earlier left image shows too.
         use_matches : bool
@@ -139,10 +139,10 @@ class ExtrinsicsDriftFilter:
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
         """Slow error of the tracker, without the ripple of its stated sigma.
 
-        Constants (misalignment, trim) and the load factor make the stated sigma rise and fall by a percent or so in
-        every manoeuvre. Nothing is forgotten by that: were every rise taken for fresh error, it would cost the filter
-        what the matches have told. So the least that was stated counts, ageing as the biases drift; a rise beyond any
-        ripple is a tracker that has lost what it knew.
+        Constants (misalignment, trim) and the load factor make the stated sigma rise and fall by about a percent in
+        every manoeuvre. Were every rise taken for a fresh error, the filter would forget what matches have measured.
+        So the least stated sigma counts. It ages toward the stated one as the biases drift. A rise beyond the ripple
+        means that the tracker itself has lost its estimate.
         """
         direction = self._filter.epipolar_from_body @ self._per_slope.sum(axis=1)
         stated = (0.5 * (bend[0].slow_slope_sigma_rad + bend[1].slow_slope_sigma_rad)) ** 2
@@ -167,10 +167,10 @@ class ExtrinsicsDriftFilter:
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
     ) -> FastBelief:
-        """Error of the fast part: slope covariance less its slow variance, manoeuvre error; stamps of turning cameras.
+        """Error of the fast part (slope covariance less slow variance, and manoeuvre error), and error by stamps.
 
-        The sum of the first two is carried as one first-order process: variances add, and the correlation time is the
-        mean of both, weighted by variance. The slow sigma keeps the manoeuvre's part as well, on the safe side.
+        The sum of the first two is one first-order process: variances add, and the correlation time is the mean of
+        both, weighted by variance. The slow sigma keeps the manoeuvre's part as well, on the safe side.
         """
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
@@ -193,7 +193,7 @@ class ExtrinsicsDriftFilter:
         timing_sigma_s: float,
         motion: VehicleMotion,
     ) -> Floats:
-        """Covariance (2, 2) of this pair's baseline direction, y and z: lift of both tips, flight between exposures."""
+        """Covariance (2, 2), rad^2, of this pair's baseline direction, y and z: lift of the tips, flight, stamps."""
         apart_s = exposures[Side.RIGHT].after_s - exposures[Side.LEFT].after_s
         across = self._filter.epipolar_from_body[1:] / self._rig.baseline_m
         stamps = math.sqrt(2.0) * timing_sigma_s * (across @ motion.velocity_mps)
@@ -222,14 +222,14 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
 
 
 def _bend_scale_sigma(airframe: Airframe) -> float:
-    """Sigma of the tracked fast bend's relative error: tip gyros (without: accelerometers) and slope factor."""
+    """Sigma of the relative error of the tracked fast bend: tip gyros (else accelerometers) and slope factor."""
     slope, tips = airframe.wing.symmetric.slope_factor_radpm, (airframe.left, airframe.right)
     scales = [tip.gyro_scale_sigma if "p" in tip.sends else tip.accel_scale_sigma for tip in tips]
     return math.hypot(0.5 * math.hypot(*scales), slope.sigma / slope.value)
 
 
 def _yaw_bias_rad(rig: Rig) -> float:
-    """The yaw that an error of :data:`_YAW_BIAS_PX` across the epipolar lines pretends to be: it shows as ``x y``."""
+    """Yaw, rad, whose parallax ``x y`` is :data:`_YAW_BIAS_PX` in the corner of the image."""
     lens = rig.left.lens
     width_px, height_px = lens.size_px
     return float(_YAW_BIAS_PX * lens.focal_px / (0.25 * width_px * height_px))

@@ -1,9 +1,9 @@
-"""Fills the obstacle picture between the features: dense disparity, thinned to a grid and refined like any match.
+"""Matches between the features of a forward pair: dense disparity, thinned to a grid and refined like any match.
 
-Vision knows no bend, and semi-global matching wants rows that agree. A forward pair's bend is roll, which the features
-of the same pair show to a tenth of a milliradian: they level the rows first. The dense search is made on small images
-and only proposes; the places that are handed on were refined in the raw images, with a sigma of their own each, and
-looked back at.
+The vision process knows no bend, and semi-global matching needs rows that agree. The bend of a forward pair is roll.
+The features of the same pair show it to a tenth of a milliradian, so the rows are levelled by them first. The dense
+search on small images only proposes places. Each place is then refined in the raw images, has a sigma of its own, and
+is checked by matching back.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from companion.records import Bytes, Floats, FramePair, MatchSet
 
 _SMALL_WIDTH_PX = 160  # width of the images that are searched densely: speed (choice)
 _STEP_PX = 32  # grid of proposed places in the raw image: speed (choice)
-_LEAST_FEATURES = 12  # two unknowns, and enough to outvote mismatches (choice)
+_LEAST_FEATURES = 12  # for two unknowns, and enough to outvote mismatches (choice)
 _IRLS_STEPS = 8  # reweightings (choice)
-_COARSE_RAD = 0.0003  # parallax of a good match, below which all weigh alike (choice)
+_COARSE_RAD = 0.0003  # parallax of a good match, rad, below which all have equal weight (choice)
 _SIGMA_PX = 0.35  # as in dense.py, px of the small images (choice)
 _BLOCK_PX = 16  # disparities are searched in blocks of so many (choice)
 
 
 def filled(matches: MatchSet, pair: FramePair, rig: Rig, search: Search) -> MatchSet:
-    """The matches of a pair, and after them what dense disparity shows between them.
+    """The matches of a pair, followed by those from dense disparity between them.
 
-    Nothing is added where there are too few features to level the rows by.
+    With too few features to level the rows nothing is added.
     """
     poses = levelled(matches, rig, search)
     if poses is None:
@@ -53,8 +53,8 @@ def filled(matches: MatchSet, pair: FramePair, rig: Rig, search: Search) -> Matc
 def levelled(matches: MatchSet, rig: Rig, search: Search) -> tuple[Pose, Pose] | None:
     """The expected poses, turned against each other by the pitch and roll that make the features' rows agree.
 
-    Each camera takes half of it, as both wings bend. Least sum of magnitudes, so that wrong matches do not count; None
-    with too few of them. By how much a camera that is turned parts the rows: ``epipolar_geometry``.
+    Each camera takes half of the rotation, as both wings bend. The fit has the least sum of magnitudes, so that wrong
+    matches do not pull. None with too few matches. The parallax by a rotation is that of ``epipolar_geometry``.
     """
     if len(matches.sigma_px) < _LEAST_FEATURES:
         return None
@@ -74,11 +74,11 @@ def _turned(pose: Pose, rotation_rad: Floats) -> Pose:
 
 
 def _proposed(left: Bytes, right: Bytes, rig: Rig, search: Search, frame: Rectification) -> Disparity:
-    """Disparity of the whole left image, as far as the right one shows the same, at a quarter of its size or so."""
+    """Dense disparity of the left image, at about :data:`_SMALL_WIDTH_PX` of width."""
     level = max(0, round(np.log2(left.shape[1] / _SMALL_WIDTH_PX)))
     first, count = _span(search, frame, 0.5**level)
     small = rectify_pair(frame, rig, left, right, level)
-    # the matcher leaves out as many columns as there are disparities, for it cannot see all of them there
+    # the matcher leaves out the first columns, where not all disparities lie inside the image
     wide = [cv2.copyMakeBorder(image, 0, 0, first + count, 0, cv2.BORDER_REPLICATE) for image in small]
     disparity = DenseMatcher(first, count).match_rectified(wide[0], wide[1])[:, first + count :]
     return Disparity(frame, disparity, _SIGMA_PX, level)

@@ -1,14 +1,15 @@
 """Toe from known motion: features of two left images, and the velocity over ground and rates between them.
 
-The autopilot knows its velocity over ground and its rates. A feature whose ray is ``r`` in the later left image and
-whose inverse depth is ``s`` there lies in the earlier left camera along
+The autopilot measures its velocity over ground and its rates. A feature whose ray is ``r`` in the later left image and
+whose inverse depth is ``s`` (1/m) there lies in the earlier left camera along
 
-    ``R r + s T``,   ``R = C_0 B C_1'``,   ``T = C_0 (B p_1 + d - p_0)``
+    ``R r + s T``,   ``R = C_0 Q C_1'``,   ``T = C_0 (Q p_1 + m - p_0)``
 
-with the poses ``C, p`` of the left camera in the body axes of either exposure, the body's turn ``B`` and its path ``d``
-between them. Stereo gives ``s`` up to the toe (``ds = dtheta/B``), the images give the direction: flown at 22 m/s for
-0.15 s, a feature at 60 m moves by 55 mrad. A velocity that is right to 1.4 % so holds the toe to 0.5 mrad there, the
-range to 1.4 % at any distance, whatever the lenses' residuals make of a yaw.
+with the poses ``C, p`` of the left camera in the body axes of the earlier (0) and the later (1) exposure, the body's
+turn ``Q`` and its path ``m`` between them. Stereo gives ``s`` up to the toe (``ds = dtheta/baseline``), the images give
+the direction. Flown at 22 m/s for 0.15 s, a feature at 60 m moves by 55 mrad. So a velocity that is right to 1.4 %
+bounds the toe to 0.5 mrad there, and the range to 1.4 % at any distance, independent of the lens residuals.
+Equations and limits: FLOW.md.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Bools, Floats, Ints
 
 LONGEST_NS = 600_000_000
-"""Between two left images: a feature that flies on for longer leaves the picture (choice)."""
+"""Longest time between two left images: after more a feature has left the picture (choice)."""
 LEAST_FLOW = 12
-"""Features, of a rotation, a velocity and the toe (choice)."""
-_STEP = 1e-6  # of the difference quotients (numerical)
+"""Fewest features for a rotation, a velocity and the toe (choice)."""
+_STEP = 1e-6  # step of the difference quotients, rad or unit of a term (numerical)
 _NONE: Floats = np.zeros(3)
 _STRAIGHT: Floats = np.zeros(2)
 
@@ -50,20 +51,20 @@ class FlowInnovation:
     Attributes
     ----------
     residual_rad, sigma_rad : (2m,) float64
-        Residual, and its one-sigma by matching.
+        Residual as a slope, and its one-sigma by matching.
     rotation : (2m, 3) float64
         Change of the prediction per radian of relative rotation, epipolar axes, through the inverse depth alone; the
         half turn of the left camera's own axes, under 2 % of it, is left out.
     lens : (2m, 9) float64
-        Per unit of each term of the pair's lens residual.
+        Change per unit of each term of the pair's lens residual.
     baseline : (2m, 2) float64
-        Per radian of the baseline's direction across the epipolar frame's x, y and z.
+        Change per radian of the baseline's direction, along the epipolar frame's y and z.
     turn : (2m, 3) float64
-        Per radian of error of the body's turn, a rotation vector in epipolar axes.
+        Change per radian of error of the body's turn, a rotation vector in epipolar axes.
     velocity : (2m, 3) float64
-        Per metre a second of error of the velocity, epipolar axes.
+        Change per m/s of error of the velocity, epipolar axes.
     stamps : (2m, 2) float64
-        Per second by which the left camera exposed later than stamped, the earlier time and the later one.
+        Change per second by which the earlier and the later exposure were later than stamped.
     """
 
     residual_rad: Floats
@@ -82,13 +83,13 @@ class FlowInnovation:
 
     @property
     def finite(self) -> Bools:
-        """Mask (2m,) of the rows of features whose rows are numbers, both."""
+        """Mask (2m,) of the rows of features both of whose rows are finite."""
         measured = np.isfinite(self.residual_rad) & np.isfinite(self.sigma_rad) & np.isfinite(self.columns).all(axis=1)
         return np.repeat(measured.reshape(-1, 2).all(axis=1), 2)
 
     @property
     def is_enough(self) -> bool:
-        """Whether so many features are numbers as the flow needs."""
+        """Whether at least :data:`LEAST_FLOW` features are finite."""
         return int(np.count_nonzero(self.finite)) >= 2 * LEAST_FLOW
 
 
@@ -99,14 +100,15 @@ class FlightBetween:
     Attributes
     ----------
     passed_s : float
+        Time between the exposures.
     turn_rad : (3,) float64
-        Rotation vector, body axes.
+        Turn of the body, a rotation vector, body axes.
     moved_m : (3,) float64
-        Path, in the body axes of the earlier exposure.
+        Path of the body, in the body axes of the earlier exposure.
     velocity_covariance : (3, 3) float64
         Covariance of the velocity that the path was taken from, body axes, (m/s)^2.
     turn_covariance : (3, 3) float64
-        Covariance of the left camera's turn beyond what rates and tracker say, body axes, rad^2.
+        Covariance of the left camera's turn beyond that by rates and tracker, body axes, rad^2.
     camera_rates_radps : (2, 3) float64
         Rates of turn of the left camera at both exposures, body axes.
     stamp_sigma_s : float
@@ -123,7 +125,7 @@ class FlightBetween:
 
 
 class _LeftCamera(NamedTuple):
-    """Motion of the left camera: rotations (3, 3) as named, and its path (3,) in the axes of the earlier exposure."""
+    """Motion of the left camera: rotations (3, 3) as named, and its path (3,) in the earlier camera's axes."""
 
     earlier_from_body: Floats
     body_from_later: Floats
@@ -132,26 +134,28 @@ class _LeftCamera(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowView:
-    """Features of a pair that were tracked into an earlier left image, and what predicts their places there.
+    """Features of a pair that were tracked into an earlier left image, and all that predicts their places there.
 
     Attributes
     ----------
     match_index : (m,) int64
-        Which of the pair's matches each feature is.
+        Index of each feature among the pair's matches.
     rays : Rays
         Matched rays (m) of the pair by the tracked bend, body axes.
     sigma_rad : (m,) float64
-        One-sigma of each match along the epipolar line.
+        One-sigma of each match along the epipolar line, as a slope.
     earlier, later : (m, 3) float64
         Rays in the axes of the left camera at both exposures, of unit depth.
     flow_sigma_rad : (m,) float64
-        One-sigma of the earlier place.
+        One-sigma of the earlier place, as a slope.
     earlier_pose, later_pose : Pose
-        The left camera by the tracked bend, in the body axes of either exposure.
+        Pose of the left camera by the tracked bend, in the body axes of its exposure.
     between : FlightBetween
+        Motion of the body between the two left exposures.
     epipolar_from_body : (3, 3) float64
+        Rotation to the epipolar frame at rest.
     axes : LensAxes
-        Of both cameras at the pair's exposures, body axes.
+        Axes of both cameras at the pair's exposures, body axes.
     """
 
     match_index: Ints
@@ -174,7 +178,7 @@ class FlowView:
 
     @property
     def turn_covariance(self) -> Floats:
-        """Covariance (3, 3) of the left camera's turn beyond what rates and tracker say, epipolar axes, rad^2."""
+        """Covariance (3, 3) of the left camera's turn beyond that by rates and tracker, epipolar axes, rad^2."""
         turned: Floats = self.epipolar_from_body @ self.between.turn_covariance @ self.epipolar_from_body.T
         return turned
 
@@ -199,7 +203,7 @@ class FlowView:
         turn_rad: Floats = _NONE,
         baseline: Floats = _STRAIGHT,
     ) -> FlowInnovation:
-        """Observed less predicted directions.
+        """Places in the earlier image, observed less predicted, and the derivatives of the prediction.
 
         Parameters
         ----------
@@ -208,9 +212,9 @@ class FlowView:
         lens : (9,) float64
             Lens terms.
         velocity_mps, turn_rad : (3,) float64
-            Errors of velocity and turn that are known already, epipolar axes: flown less told.
+            Estimated errors of velocity and turn, epipolar axes: true less stated by the autopilot.
         baseline : (2,) float64
-            Error of the baseline's direction, y and z: places of the cameras against each other.
+            Estimated error of the baseline's direction, y and z, rad.
         """
         inverse_pm, sigma_pm = self._inverse_depths(self.rays, [(rotation_rad, lens, baseline)])
         left, per_term = left_terms(lens)
@@ -224,8 +228,8 @@ class FlowView:
         slopes, project = _projected(at_infinity + inverse_pm[:, np.newaxis] * moved.path_m)
         residual, per_inverse = earlier - slopes, project @ moved.path_m
         place_variance, depth_variance = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
-        # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
-        # noise would be in rows and residual alike, and feign a velocity, a radial term and a rate of turn.
+        # Rows are taken at the depth adjusted by both noises (Gauss-Helmert). At the depth by stereo alone, its noise
+        # would be in rows and residual alike, and bias velocity, radial term and rates of turn.
         depth_correction_pm = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (place_variance + depth_variance)
         adjusted_pm = inverse_pm + depth_correction_pm
         expected, project = _projected(at_infinity + adjusted_pm[:, np.newaxis] * moved.path_m)
@@ -238,7 +242,7 @@ class FlowView:
         per_motion = self._per_motion(moved, in_body, project, adjusted_pm)
         columns = np.concatenate([per_depth, per_motion, per_motion @ self._motion_per_stamp()], axis=2)
 
-        # axes of each feature: along its image path, where depth noise counts too, and across it
+        # axes of each feature: along its image path, where depth noise adds to the variance, and across it
         along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
         axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
         rows = (axes @ columns).reshape(2 * len(residual), -1)
@@ -269,7 +273,7 @@ class FlowView:
     def _motion_per_stamp(self) -> Floats:
         """Errors of turn and velocity (6, 2), epipolar axes, per second by which each exposure was later than stamped.
 
-        A flight that lasts longer turns the camera on at its rate, and leads on along the path.
+        A longer flight turns the camera further at its rate, and moves it further along the path.
         """
         velocity_per_stamp_mps2 = self.between.moved_m / self.between.passed_s**2
         longer = np.array(
@@ -296,13 +300,13 @@ class FlowView:
         return per_state
 
     def _inverse_depths(self, rays: Rays, states: Sequence[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats]:
-        """Inverse depths along the left optical axis of matched rays (m) by rotations, lenses and baselines; sigmas.
+        """Inverse depths, 1/m, of m matched rays along the left optical axis for k states, and their sigmas, (k m,).
 
-        Both are (k m,) for k states. The axis is that of the first.
+        A state is rotation, lens terms and baseline direction. The optical axis is that of the first state.
         """
         stacked = Rays.stacked([self._turned(rays, *state) for state in states])
         look = self.later_pose.camera_from_body[2] @ self._half_turn(states[0][0])
-        # tangents across the axis are not asked for
+        # tangents across the axis are not needed
         sight = RangeAxis(rays.left_m[0], look, np.zeros((2, 3)))
         depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(states)))
         return depths.inverse_pm, depths.sigma_pm

@@ -1,7 +1,7 @@
-"""Features of a left image found again in the left image of an earlier pair.
+"""Features of a left image found again in the left image of the pair before.
 
-Pyramidal Lucas-Kanade (Bouguet 2000, OpenCV) finds the place, for no wing state and no velocity is known here; the
-subpixel position, its sigma and the check of the way back are those of every match (:mod:`refine`).
+No wing state and no velocity is known here, so pyramidal Lucas-Kanade (Bouguet 2000, OpenCV) finds the place.
+Subpixel position, its sigma and the check by matching back are those of every match (:mod:`refine`).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from companion.records import Bools, Bytes, Floats, Flow, FramePair, Ints, Match
 
 _LEVELS = 5  # of the pyramid: 21 px at the coarsest level are a third of a VGA image (choice)
 _WINDOW_PX = 21  # convention: the window that OpenCV's Lucas-Kanade has by default
-_LEAST_FOR_SHAPE = 12  # three unknowns a row, and enough to outvote mismatches (choice)
-_SHAPE_IRLS_STEPS = 5  # reweightings; the shape of a patch is all that comes of it (choice)
+_LEAST_FOR_SHAPE = 12  # for three unknowns of either axis, and enough to outvote mismatches (choice)
+_SHAPE_IRLS_STEPS = 5  # reweightings; the result only shapes the patch (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EarlierView:
-    """Left image of the pair before."""
+    """Left image of the pair before: (rows, columns) uint8."""
 
     pair_id: int
     mid_exposure_ns: int
@@ -33,16 +33,16 @@ class EarlierView:
 
 
 def flow_since(earlier: EarlierView, pair: FramePair, matches: MatchSet) -> Flow | None:
-    """Find the features of a matched pair in the earlier left image; None where it is not one of just before.
+    """Find the features of a matched pair in the earlier left image; None if that is too old, or of another size.
 
     Parameters
     ----------
     earlier : EarlierView
-        Of the same camera and size.
+        Left image of the pair before, by the same camera.
     pair : FramePair
         The pair.
     matches : MatchSet
-        Its matches, without fillings; their left places are looked for.
+        Its features, without dense filling. Their left places are searched.
     """
     passed_ns = pair.left.mid_exposure_ns - earlier.mid_exposure_ns
     if not 0 < passed_ns <= LONGEST_NS or earlier.image.shape != pair.left.image.shape or not len(matches.sigma_px):
@@ -59,14 +59,14 @@ def flow_since(earlier: EarlierView, pair: FramePair, matches: MatchSet) -> Flow
     fine = refine(pair.left.image, earlier.image, centres[index], start[index], _along(moved_px), slopes)
     good = fine.good & (fine.correlation > FINE_SCORE)
     good[good] = returned(pair.left.image, earlier.image, fine, good, slopes)
-    # the feature's place in the later image is that of its match, a pixel or two from this patch's middle of texture
+    # the feature's place in the later image is that of its match, a pixel or two from this patch's centre of weight
     offset_px = matches.left_px[index] - fine.left_px
     earlier_px = fine.right_px + offset_px + np.einsum("nij,nj->ni", slopes, offset_px)
     return Flow(earlier.pair_id, index[good], earlier_px[good], fine.sigma_px[good])
 
 
 def _coarse(later: Bytes, earlier: Bytes, centres: Ints) -> tuple[Floats, Bools]:
-    """Places (n, 2) in the earlier image, right to about a pixel, and which were found (n,)."""
+    """Places (n, 2) in the earlier image, right to about a pixel, and a mask (n,) of those found."""
     points = centres.astype(np.float32).reshape(-1, 1, 2)
     window = (_WINDOW_PX, _WINDOW_PX)
     places, status, _ = cv2.calcOpticalFlowPyrLK(later, earlier, points, None, winSize=window, maxLevel=_LEVELS)
@@ -82,7 +82,7 @@ def _along(moved: Floats) -> Floats:
 
 
 def _shape(points_px: Floats, moved_px: Floats) -> Floats:
-    """Growth (2, 2) of the displacement per pixel to the right and down, least magnitudes: a turn, and a climb."""
+    """Growth (2, 2) of the displacement per pixel to the right and per pixel down, by least sum of magnitudes."""
     if len(points_px) < _LEAST_FOR_SHAPE:
         return np.zeros((2, 2))
     design = np.column_stack([points_px - points_px.mean(axis=0), np.ones(len(points_px))])

@@ -1,4 +1,4 @@
-"""The stereo rig: lenses, rest attitudes, and where each camera is and looks when the wing bends.
+"""The stereo rig: lenses, rest poses, and the pose of each camera when the wing bends.
 
 Pixels are OpenCV's (column, row, integers at pixel centres); camera axes x right, y down, z forward; body axes FRD with
 the origin of the airframe file. A rotation ``a_from_b`` takes coordinates in b to coordinates in a.
@@ -38,7 +38,7 @@ class Pose(NamedTuple):
 
 
 def epipolar_axes(left: Pose, right: Pose) -> Floats:
-    """Axes x along the baseline, y, and z as both cameras look in the mean, as rows (3, 3) in body axes."""
+    """Axes as rows (3, 3), body axes: x along the baseline, z the mean view across it, ``y = z cross x``."""
     apart = right.position_body_m - left.position_body_m
     x = apart / np.linalg.norm(apart)
     look = left.camera_from_body[2] + right.camera_from_body[2]
@@ -119,7 +119,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountedCamera:
-    """One camera on its wing: lens, rest pose on the ground-calibrated wing, and how the wing carries it."""
+    """One camera on its wing: lens, rest pose of the ground calibration, its share of the tip's turn and lift."""
 
     side: Side
     lens: Lens
@@ -196,7 +196,7 @@ class Rig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two centres of projection at rest."""
+        """Distance of the two centres of projection at rest, m."""
         return float(np.linalg.norm(self.right.rest.position_body_m - self.left.rest.position_body_m))
 
 
@@ -248,7 +248,7 @@ def _check_pair(left: MountedCamera, right: MountedCamera, name: str) -> None:
 
 
 def _check_alike(left: MountedCamera, right: MountedCamera, name: str) -> None:
-    """Refuse images that show the same texture too differently to be matched: rolled, or of another scale."""
+    """Refuse cameras whose images cannot be matched: rolled against each other, or of another scale."""
     axes = epipolar_axes(left.rest, right.rest)
     rows = [axes @ camera.rest.camera_from_body[0] for camera in (left, right)]
     turned_rad = np.subtract(*(np.arctan2(row[1], row[0]) for row in rows))

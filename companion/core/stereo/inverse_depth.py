@@ -1,4 +1,4 @@
-"""One robust number from many inverse depths: the surface where the axis meets it, the nearest thing, or the centre."""
+"""One robust inverse depth from many: of the surface on the range axis, of the nearest thing, or of the centre."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from companion.units import MAD_TO_SIGMA
 _ABSOLUTE_STEPS = 8  # reweightings to least absolute deviations: the start of the M-estimate (numerical)
 _BIWEIGHT_STEPS = 6  # reweightings by the biweight (choice)
 _TUKEY = 4.685  # 95 % efficiency on Gaussian errors (Huber and Ronchetti 2009)
-# A surface may lie at 45 degrees to the axis (one sigma): enough for rolls and hillsides, and it keeps a fit to few
-# matches from swinging (choice).
+# Prior of the tilt, one sigma: a surface may lie at 45 degrees to the axis. That allows rolls and hillsides, and
+# steadies a fit to few matches (choice).
 _TILT = 1.0
-# Vertical parallax: what matching leaves, and how much it may grow over the image (roll between the cameras; choice).
+# sigma of a vertical parallax by matching (choice)
 _PARALLAX_RAD = 1e-4
-_PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma (choice)
-# What scatters parallaxes beyond matches and rotation: places of the cameras before things at many distances, lenses
-# (choice: a good pair scatters by 0.02 to 0.8 mrad in all, one whose matches are all wrong by 4 to 10)
+_PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll between the cameras, one sigma (choice)
+# scatter of parallaxes beyond matches and rotation: places of the cameras before things at many distances, lenses
+# (choice: a good pair scatters by 0.02 to 0.8 mrad in all, one whose matches are all wrong by 4 to 10 mrad)
 _UNEXPLAINED_RAD = 1e-3
-_CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone (choice)
-_CENTRE_FRACTION = 0.2  # chosen: of the matches, nearest to the axis: few enough for one place, enough for a fit
-# a surface that is rough by less than a hundredth of its depth is one surface still (choice)
+_CLUSTER_SIGMAS = 3.0  # by which matches of one thing may differ (choice)
+_CENTRE_FRACTION = 0.2  # share of the matches, nearest to the axis, that CENTRE fits (choice)
+# roughness of one surface over its depth (choice)
 _ROUGHNESS = 0.01
-# numerical: directions in which the gap is measured; it comes out shorter by at most a hundredth of the field of view
+# directions of the convex hull (numerical: its distance comes out short by at most a hundredth of the field of view)
 _DIRECTIONS = np.exp(2j * np.pi * np.arange(360) / 360)
-_ELLIPSE_AREA = 4.0 * np.pi  # of an evenly filled ellipse, over the root of its covariance's determinant (derived)
+_ELLIPSE_AREA = 4.0 * np.pi  # area of an evenly filled ellipse over the root of its covariance's determinant (derived)
 _INNERMOST = (
-    5  # chosen: matches of the ground under the axis; of more some lie on the next roof, and ranges are withheld
+    5  # matches of the ground under the axis: of more, some lie on the next roof, and ranges are withheld (choice)
 )
 _ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone (choice)
 
 
 class RangeProduct(enum.IntEnum):
-    """Which range is asked for; the values are those of the parameter RNG_PRODUCT."""
+    """Product that is published as the range: values of the parameter RNG_PRODUCT."""
 
     MEDIAN = 0
     NEAREST = 1
@@ -53,11 +53,11 @@ class InverseDepthEstimate:
     Attributes
     ----------
     inverse_pm, sigma_pm : float
-        Inverse depth on the axis, and its one-sigma from matching (larger where matches scatter more than they say).
+        Inverse depth on the axis, and its one-sigma from matching (scaled up if matches scatter beyond their sigmas).
     weights : (n,) float64
-        Weight of each match; sums to one. Any change of the geometry moves the estimate by the weighted change.
+        Weight of each match; they sum to one. Any change of the geometry moves the estimate by the weighted change.
     used : int
-        Matches that count.
+        Number of matches with weight.
     slope_pm : (2,) float64
         Change of the plane's inverse depth per unit of either tangent; zeros for the nearest thing.
     """
@@ -75,14 +75,13 @@ def robust_inverse_depth(
     """Reduce inverse depths to one value, or None when fewer than ``least`` matches support it.
 
     ``MEDIAN`` and ``CENTRE`` fit a plane, whose inverse depth is linear in the tangents, with an M-estimator that
-    starts from least absolute deviations, and take its value on the axis: the range of a beam along the axis, free of
-    the scatter that sloping ground under a field of view of 40 degrees would bring. ``CENTRE`` uses only the matches
-    nearest to the axis. ``NEAREST`` is where the nearest group of matches that agree among themselves begins.
+    starts from least absolute deviations, and take its value on the axis. This is the range of a beam along the axis,
+    without the scatter of sloping ground in a field of view of 40 degrees. ``CENTRE`` uses only the matches nearest to
+    the axis. ``NEAREST`` is the near edge of the nearest group of matches that agree among themselves.
 
-    One plane through ground and roofs, or through ground and obstacles, is neither, so the plane is fitted to as many
-    of the matches around the axis as lie on one surface with those nearest to it: with ``least`` of them ahead, where
-    anything may stand, with five where the ground fills the picture (``one_surface``). ``turn_sigma_rad`` is as in
-    :func:`consistent`.
+    One plane through ground and roofs, or through ground and obstacles, lies on neither. So the plane is fitted to as
+    many matches around the axis as lie on one surface with the innermost ones. These are ``least`` matches ahead, and
+    five where the ground fills the picture (``one_surface``). ``turn_sigma_rad`` is as in :func:`consistent`.
     """
     inliers = consistent(depths, turn_sigma_rad)
     if inliers.size < least:
@@ -100,7 +99,7 @@ def robust_inverse_depth(
 
 
 def mean_inverse_depth(depths: Depths, turn_sigma_rad: float = math.inf) -> InverseDepthEstimate | None:
-    """Mean of the matches that agree (:func:`consistent`), where they are too few for a range; None without one."""
+    """Mean of the consistent matches (:func:`consistent`), where they are too few for a range; None without any."""
     inliers = consistent(depths, turn_sigma_rad)
     if not inliers.size:
         return None
@@ -113,16 +112,16 @@ def mean_inverse_depth(depths: Depths, turn_sigma_rad: float = math.inf) -> Inve
 def consistent(depths: Depths, turn_sigma_rad: float = math.inf) -> Ints:
     """Indices (k,) of finite matches whose vertical parallax agrees with that of the others.
 
-    A common parallax is an error of the extrinsics and smooth over the image; a match that differs is a wrong match. It
-    differs beyond five scales of the parallaxes' own scatter, and that is believed only as far as the matches' sigmas
-    and the one-sigma ``turn_sigma_rad`` of the relative rotation explain it: where most matches are wrong, so is their
-    scatter. Rays that meet behind the cameras, under a toe that is wrong by a radian, have no sigma above 0.
+    A parallax that is smooth over the image is an error of the extrinsics. A match that departs from it by more than
+    five times the scatter of all parallaxes is wrong. The scatter counts only as far as the matches' sigmas and the
+    one-sigma ``turn_sigma_rad`` of the relative rotation explain it, because wrong matches enlarge it. Matches without
+    a positive sigma, whose rays meet behind the cameras, are left out.
     """
     return _consistent(depths, turn_sigma_rad)[0]
 
 
 def consistent_if_explained(depths: Depths, turn_sigma_rad: float) -> Ints | None:
-    """Indices (k,) as :func:`consistent` has them; None where parallaxes scatter too much: most matches are wrong."""
+    """Indices (k,) of :func:`consistent`; None if parallaxes scatter so much that most matches are wrong."""
     alike, explained = _consistent(depths, turn_sigma_rad)
     return alike if explained else None
 
@@ -139,7 +138,7 @@ def _consistent(depths: Depths, turn_sigma_rad: float) -> tuple[Ints, bool]:
 
 
 def _parallax_residuals(depths: Depths) -> tuple[Ints, Floats]:
-    """Finite matches (n,), and what their vertical parallaxes depart by from a plane, rad."""
+    """Indices (n,) of finite matches, and the departures of their vertical parallaxes from a plane, rad."""
     finite = np.flatnonzero(np.isfinite(depths.inverse_pm) & np.isfinite(depths.sigma_pm) & (depths.sigma_pm > 0.0))
     if finite.size < 3:
         return finite, np.zeros(finite.size)
@@ -151,9 +150,10 @@ def _parallax_residuals(depths: Depths) -> tuple[Ints, Floats]:
 
 
 def _explained_rad(depths: Depths, indices: Ints, turn_sigma_rad: float) -> Floats:
-    """Largest scatter (n,) of parallaxes that is believed: matching, and a rotation's part that is no plane.
+    """Largest scatter (n,), rad, of parallaxes that is explained: matching, rotation, places and lenses.
 
-    That part is of second order: a yaw shows as ``x y`` of the tangents. A match may err by three of its sigmas.
+    The plane takes the first-order part of a rotation. What is left is of second order: a yaw shows as ``x y`` of the
+    tangents. A match may err by three of its sigmas.
     """
     if math.isinf(turn_sigma_rad):
         return np.full(indices.size, math.inf)
@@ -163,7 +163,7 @@ def _explained_rad(depths: Depths, indices: Ints, turn_sigma_rad: float) -> Floa
 
 
 def _outward(depths: Depths, indices: Ints) -> Ints:
-    """The same indices, from the axis outward."""
+    """The same indices, ordered by distance from the axis."""
     return indices[np.argsort(np.linalg.norm(depths.tangent[indices], axis=1), kind="stable")]
 
 
@@ -172,10 +172,10 @@ def _plane(depths: Depths, inliers: Ints) -> InverseDepthEstimate:
 
 
 def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> InverseDepthEstimate:
-    """Plane through matches around the axis: all, or a half, a quarter ... of them, until the ``core`` lies on it.
+    """Plane through the matches around the axis: all, or a half, a quarter ... of them, until the ``core`` lies on it.
 
-    Where some of the core do not, an edge is near, maybe on the axis: the sigma has what they depart by. Where all
-    matches lie to one side of the axis, it has how far the surface may tilt in between.
+    If some of the core do not lie on it, an edge is near, and their departure is added to the sigma. If all matches lie
+    to one side of the axis, the possible tilt of the surface in between is added.
     """
     count, fewest = outward.size, min(_with_spare(least), outward.size)
     while True:
@@ -193,8 +193,8 @@ def _surface_on_axis(depths: Depths, outward: Ints, core: Ints, least: int) -> I
 def _unseen_pm(depths: Depths, fitted: InverseDepthEstimate) -> float:
     """Sigma of extrapolating a plane to the axis, 1/m: its tilt there is as unknown as that of any surface.
 
-    It grows with the distance of the axis from the convex hull of the matches that count. By their mean spacing the
-    axis may lie outside: so far apart the matches of a surface under the axis lie anyway.
+    It grows with the distance of the axis from the convex hull of the matches with weight. A distance up to their mean
+    spacing is free: matches of a surface under the axis are as far apart.
     """
     counted = np.flatnonzero(fitted.weights)
     tangent = depths.tangent[counted]
@@ -206,17 +206,17 @@ def _unseen_pm(depths: Depths, fitted: InverseDepthEstimate) -> float:
 
 
 def _tilt_pm(depths: Depths, indices: Ints) -> float:
-    """Change of a surface's inverse depth per unit tangent, one sigma, where nothing tells its tilt, 1/m."""
+    """Change of a surface's inverse depth per unit tangent, one sigma, if its tilt is unknown, 1/m."""
     return _TILT * max(float(np.median(np.abs(depths.inverse_pm[indices]))), 1e-4)
 
 
 def _with_spare(least: int) -> int:
-    """Matches to fit where ``least`` are to count: outliers among these have no weight."""
+    """Matches to fit if ``least`` must have weight: some are outliers."""
     return least + least // 3
 
 
 def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tuple[Floats, float]:
-    """Departures (n,) of matches from a fitted plane, and how far noise and roughness let them lie from it, 1/m."""
+    """Departures (n,) of matches from a fitted plane, and their limit by noise and roughness, 1/m."""
     value, sigma = depths.inverse_pm[core], depths.sigma_pm[core]
     plane = fitted.inverse_pm + depths.tangent[core] @ fitted.slope_pm
     allowed = np.hypot(sigma, _ROUGHNESS * fitted.inverse_pm)
@@ -224,7 +224,7 @@ def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tupl
 
 
 def _nearest_group(depths: Depths, inliers: Ints, size: int) -> Ints:
-    """The nearest ``size`` or more matches within their own sigmas of each other; empty if there are none."""
+    """Indices of the nearest ``size`` or more matches that agree within their sigmas; empty without such a group."""
     order = inliers[np.argsort(-depths.inverse_pm[inliers], kind="stable")]
     inverse, sigma = depths.inverse_pm[order], depths.sigma_pm[order]
     for first in range(order.size - size + 1):
@@ -236,10 +236,10 @@ def _nearest_group(depths: Depths, inliers: Ints, size: int) -> Ints:
 
 
 def _edge(depths: Depths, inliers: Ints, middle: InverseDepthEstimate, size: int) -> InverseDepthEstimate:
-    """Where a group begins: midway from its middle to its nearest ``size`` members, known to as much.
+    """Near edge of a group: midway from its middle to its nearest ``size`` members, with that distance as sigma.
 
-    Of a flat thing the nearest members are near by noise alone, of sloping ground they are really nearer than the
-    middle; which it is, the matches cannot tell.
+    On a flat thing the nearest members are nearer by noise alone. On sloping ground they are truly nearer. The matches
+    cannot tell one from the other.
     """
     nearest_pm = float(np.mean(np.sort(depths.inverse_pm[inliers])[-size:]))
     edge_pm = 0.5 * max(nearest_pm - middle.inverse_pm, 0.0)

@@ -1,4 +1,4 @@
-"""Straight-line fits that wrong matches do not pull: least sum of magnitudes."""
+"""Linear fits by least sum of magnitudes, which wrong matches do not pull."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def least_magnitudes(design: Floats, observed: Floats, least: float, steps: int)
     Parameters
     ----------
     design : (n, k) float64
-        What each coefficient contributes to each row.
+        Contribution of each coefficient to each row.
     observed : (n, d) float64
-        Vectors to be explained; a residual's magnitude is its length.
+        Vectors to fit; the magnitude of a residual is its length.
     least : float
-        Residual below which all rows weigh alike, in the unit of ``observed``.
+        Residual below which all rows have equal weight, in the unit of ``observed``.
     steps : int
-        Reweightings.
+        Number of reweightings.
     """
     weight: Floats = np.ones(len(observed))
     fitted: Floats = np.zeros((design.shape[1], observed.shape[1]))

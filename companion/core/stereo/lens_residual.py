@@ -4,21 +4,21 @@ With the slopes ``r = (x, y)`` of a ray, the slopes that a calibrated lens gives
 
     ``e(r) = kappa r + rho |r|^2 r + (t.r) r + s |r|^2``
 
-``kappa`` is the focal length's relative error, ``rho`` the first radial term's. ``t`` is the keystone of a tilted image
-plane, ``s`` a thin prism (both named as in OpenCV's distortion models). The direction in which the middle of the image
-looks counts as the camera's rotation. Then a principal point off by ``c`` (as a slope) is ``t = -c``, and OpenCV's
-tangential distortion ``P = (p_2, p_1)`` is ``s = P`` and ``t = 2 P`` (Brown 1966). These two fields, and not principal
-point and tangential terms, are what a calibration tells apart: correlations of their errors are 0.2, not 0.9.
+``kappa`` is the relative error of the focal length, ``rho`` the error of the first radial term. ``t`` is the keystone
+of a tilted image plane, ``s`` a thin prism (both named as in OpenCV's distortion models). An error of the direction in
+which the middle of the image looks counts as a rotation of the camera. Then a principal point off by ``c`` (as a slope)
+is ``t = -c``, and OpenCV's tangential distortion ``P = (p_2, p_1)`` is ``s = P`` and ``t = 2 P`` (Brown 1966). A
+calibration separates keystone and prism better than principal point and tangential terms: correlations of their errors
+are 0.2, not 0.9.
 
-Across the epipolar lines ``t_x`` shows as ``t_x x y``, which is just how a yaw shows, and ``s_x`` not at all: no number
-of matches tells them from toe. They are carried with their prior (Schmidt's consider states, :data:`CONSIDERED`). The
-flow tells the toe without ``t_x``, and so the two apart: there only ``s_x`` is considered.
+Across the epipolar lines ``t_x`` shows as ``t_x x y``, as a yaw does, and ``s_x`` does not show at all. So matches
+cannot tell them from toe. They keep their prior (Schmidt's consider states, :data:`CONSIDERED`). The flow measures the
+toe without ``t_x``, and separates the two: there only ``s_x`` is considered.
 
-A pair sees the difference of its lenses. Of what both have wrong alike three terms count, for near things lie
-elsewhere in either image: the radial one leaves ``2 rho x y d`` across the lines at the disparity ``d``, a yaw of near
-things alone, which matches never move either; keystone leaves ``t_x y d``, just what a baseline leaves that points
-ahead by ``t_x`` more than believed. The flow runs through the left lens alone, which has the mean and half of the
-difference: where both its rays are bent, the path is.
+A pair shows the difference of its lenses. Of the errors that both lenses share three terms count, because near things
+lie elsewhere in either image. At the disparity ``d`` the radial term leaves ``2 rho x y d`` across the lines, a yaw of
+near things alone; it is considered too. Keystone leaves ``t_x y d``, as does a baseline that points ahead by ``t_x``
+more than is believed. The flow runs through the left lens alone, which has the mean and half of the difference.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_X, PRISM_Y = range(6)
 LENS_TERMS = 6
 """Terms of one lens (by definition)."""
 RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN = range(6, 9)
-"""Last terms of a pair: means of both radial terms and of both keystones."""
+"""Last terms of a pair: means over both lenses of the radial term and of the keystone."""
 PAIR_TERMS = 9
 """Terms of a pair: the six of the difference, and three means (by definition)."""
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
-"""Terms of a pair that matches never move: what shows of them shows as yaw."""
+"""Terms of a pair that matches do not estimate: they show as yaw, or not at all."""
 CONSIDERED_IN_FLOW = (PRISM_X,)
-"""Terms of a pair that the flow never moves either."""
+"""Terms of a pair that the flow does not estimate either."""
 
 OBSERVED = [FOCAL, RADIAL, TILT_X, TILT_Y, PRISM_Y, RADIAL_MEAN, TILT_X_MEAN, TILT_Y_MEAN]
-"""Terms of a pair that matches show, or the flow."""
+"""Terms of a pair that matches or the flow estimate."""
 _MEANS = [RADIAL, TILT_X, TILT_Y]  # terms of one lens whose means a pair has
-_PRIOR_TERMS = 2.0  # chosen: half of the terms that matches alone show
+_PRIOR_TERMS = 2.0  # weight of the prior of the ratio, in terms: half of those that matches alone estimate (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LensAxes:
-    """Axes of both cameras as they look, each by quarter turns near the epipolar frame's.
+    """Axes of both lenses: the camera's axes, turned by quarter turns to be near the epipolar frame's.
 
-    A bent wing turns a camera, and its lens with it: a residual is a field of the camera's slopes, not of the frame's.
-    Its terms x and y are along these axes.
-    ``left`` and ``right`` (3, 3) have the axes x, y, z as rows, in the axes that the rays are in.
+    A bent wing turns a camera, and its lens with it. So a residual is a field of slopes in the camera's own axes, not
+    in the frame's. The terms x and y are along these axes. ``left`` and ``right`` (3, 3) have the axes x, y, z as rows,
+    in the frame of the rays.
     """
 
     left: Floats
@@ -79,7 +79,7 @@ class LensAxes:
 
 
 def quarter_turns(turn: Floats) -> Floats:
-    """The quarter turns (3, 3) nearest to a rotation (3, 3): each axis goes to the one it is nearest to."""
+    """The rotation (3, 3) by quarter turns that is nearest to a rotation (3, 3)."""
     nearest, rows = np.zeros((3, 3)), np.arange(3)
     columns = np.argmax(np.abs(turn), axis=1)
     nearest[rows, columns] = np.sign(turn[rows, columns])
@@ -127,21 +127,21 @@ def parallax_columns(left: Floats, right: Floats) -> Floats:
 
 
 def lens_ratio(terms: Floats, covariance: Floats, prior: Floats, believed: float = 1.0) -> float:
-    """Variance of this pair's lens residual over its prior's, at least 1, as the terms that matches show tell it.
+    """Ratio of the variance of this pair's lens residual to the stated one, at least 1, from the estimated terms.
 
-    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. Under the
-    prior variance ``believed p``, of which matches have taken away the share ``w``, a posterior mean ``m`` has the
-    expectation ``E m^2 = p (w^2 ratio + w (1 - w) believed)``. The answer is the mean of an inverse-gamma posterior
-    whose prior has a mean of one and weighs as much as :data:`_PRIOR_TERMS` terms that have shown.
+    An old calibration is wrong in all its terms by one factor, also in those that do not show. Under the prior variance
+    ``believed p``, of which matches have removed the share ``w``, a posterior mean ``m`` has the expectation
+    ``E m^2 = p (w^2 ratio + w (1 - w) believed)``. The result is the mean of an inverse-gamma posterior whose prior has
+    the mean 1 and the weight of :data:`_PRIOR_TERMS` terms.
 
     Parameters
     ----------
     terms, covariance : (9,), (9, 9) float64
         Posterior of the pair's terms.
     prior : (9,) float64
-        Variances that the calibration states; a term whose variance is 0 tells nothing.
+        Variances that the calibration states; a term whose variance is 0 is left out.
     believed : float
-        Ratio under whose prior the terms were estimated.
+        Ratio that the prior had when the terms were estimated.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def straightened(rays: Rays, residual: Floats, axes: LensAxes) -> Rays:
 
 
 def pair_variances(airframe: Airframe) -> Floats:
-    """Prior variances (9,) of the pair's terms: the cameras are calibrated with errors of their own."""
+    """Prior variances (9,) of the pair's terms; errors of the two calibrations are independent."""
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     difference = (np.stack([_sigmas(camera) for camera in cameras]) ** 2).sum(axis=0)
     return np.concatenate([difference, 0.25 * difference[_MEANS]])

@@ -19,24 +19,25 @@ from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
-# chosen, of the strongest response, which goes with contrast squared: at OpenCV's usual 0.01 a glint or a marker took
-# the place of all features of hazy ground
+# weakest corner over the strongest one's response, which grows as contrast squared: at OpenCV's usual 0.01 a glint or a
+# marker displaced all features of hazy ground (choice)
 _CORNER_QUALITY = 0.001
-_CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent (choice)
+_CORNER_SPACING_PX = 14  # corners much nearer than a refinement window are not independent (choice)
 BORDER_PX = HALF_WINDOW + 3
 """Distance from the border at which a patch and its interpolation taps fit in (derived)."""
 _COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed (choice)
-_COARSE_SCORE = 0.6  # correlation that a right place reaches at the coarse scale (choice)
+_COARSE_SCORE = 0.6  # least correlation of a right place at the coarse scale (choice)
 FINE_SCORE = 0.85
-"""Correlation of a patch that is the same texture (choice)."""
-# Of 1 - correlation: the best leaves so much less unexplained than any other place, and a little in any case (choice).
+"""Least correlation of two patches of the same texture (choice)."""
+# 1 - correlation of the best place, plus a margin, must be below this share of that of any other place (choice)
 _UNIQUENESS = 0.8
-_UNIQUE_MARGIN = 0.02  # chosen: the little in any case, which noise of perfect matches needs
-# How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ so much (choice).
+_UNIQUE_MARGIN = 0.02  # margin for the noise of perfect matches (choice)
+# displacements left to right and back may differ by this: patches a fraction of a pixel apart on a slanted surface do
+# (choice)
 _RETURN_PX = 0.1
-_RETURN_SIGMAS = 4.0  # both ways have noise of their own (choice)
+_RETURN_SIGMAS = 4.0  # and by so many sigmas: both matches have noise of their own (choice)
 _SLOPE_PX = 5.0  # half the step of the difference quotient (numerical)
-_LEAST_FOR_ROLL = 12  # three unknowns, and enough to outvote mismatches (choice)
+_LEAST_FOR_ROLL = 12  # for three unknowns, and enough to outvote mismatches (choice)
 _ROLL_IRLS_STEPS = 5  # reweightings; roll only shapes the patch (choice)
 COARSE_PX = 0.5
 """Accuracy of the coarse search (choice)."""
@@ -94,7 +95,7 @@ def match(
 
 
 def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int) -> MatchSet:
-    """Match a frame pair and give the record that is handed on (and recorded for replay)."""
+    """Match a frame pair and give the record that the estimation reads (and that is recorded for replay)."""
     matches = match(pair.left.image, pair.right.image, rig, search)
     return MatchSet(
         pair_id=pair.pair_id,
@@ -111,9 +112,9 @@ def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int) 
 
 
 def _corners(image: Bytes, most: int, level: int, quality: float) -> Ints:
-    """Column, row of the strongest corners (n, 2), best first, away from the border.
+    """Column and row of the strongest corners (n, 2), best first, away from the border.
 
-    They are looked for in the small image, ten times faster: texture over the window counts, not a sharp corner.
+    The search in the halved image is ten times faster. Texture over the window is needed, not a sharp corner.
     """
     small = halved(image, level)
     border = -(-BORDER_PX // 2**level)
@@ -134,7 +135,7 @@ def _reachable(band: Band, frame: Rectification) -> Bools:
 
 
 def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, right_rectified_px: Floats) -> Floats:
-    """How the displacement of each match grows around it at one depth (n, 2, 2): lenses, expected bend, and its error.
+    """Growth (n, 2, 2) of each match's displacement per pixel, at one depth: lenses, expected bend, unexpected roll.
 
     ``right_rectified_px`` (n, 2) are the coarse matches in the rectified right image.
     """
@@ -158,10 +159,10 @@ def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, right_rectifi
 
 
 def _roll(points_px: Floats, down_px: Floats) -> float:
-    """Roll that was not expected, rad: slope of the matches' vertical displacement along the rows.
+    """Unexpected roll, rad: slope of the matches' vertical displacement along the rows.
 
-    Depth moves a match along its row alone. Least sum of magnitudes: coarse matches are right to half a pixel, some
-    are wrong.
+    Depth moves a match along its row alone. The fit has the least sum of magnitudes, for coarse matches are right to
+    half a pixel, and some are wrong.
     """
     if len(points_px) < _LEAST_FOR_ROLL:
         return 0.0
@@ -172,7 +173,7 @@ def _roll(points_px: Floats, down_px: Floats) -> float:
 def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
     """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check).
 
-    ``chosen`` (n,) marks the matches of ``fine`` that are asked, of which each is answered; ``slopes`` (n, 2, 2).
+    ``chosen`` (n,) marks the k matches of ``fine`` to check; the result is (k,). ``slopes`` are (n, 2, 2).
     """
     left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
     centres_px = np.rint(right_px).astype(np.int64)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from companion.records import Frame, FramePair, Reject, Rejected, Side
 
-_FORGET_NS = 2_000_000_000  # a frame that waited so long has lost its partner (choice)
+_FORGET_NS = 2_000_000_000  # a frame without a partner for so long will get none (choice)
 
 
 @dataclass(slots=True)
@@ -16,8 +16,8 @@ class FramePairer:
 
     Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
     time between shots), no other waiting frame is nearer, and they do not name different plans. Frames of one side
-    come in order of exposure; one that comes again is refused, so that a pair cannot be made twice. One that is seconds
-    behind is of a camera whose clock began anew. Pairs are numbered from ``next_id``.
+    must come in order of exposure. One that comes again is refused, so that no pair is made twice. One that is more
+    than two seconds older belongs to a camera whose clock restarted. Pairs are numbered from ``next_id``.
     """
 
     tolerance_ns: int = 8_000_000
@@ -27,7 +27,7 @@ class FramePairer:
     _newest_ns: list[int] = field(default_factory=lambda: [-(2**62), -(2**62)])
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
-        """Take one frame; give the pairs that it completes and the frames that stay without a partner."""
+        """Take one frame. Give the pairs that it completes and the frames that remain without a partner."""
         queue, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
         if 0 <= behind_ns <= _FORGET_NS:
             return [], [self._lonely(frame)]
@@ -79,5 +79,5 @@ class FramePairer:
 
 
 def _of_different_plans(left: Frame, right: Frame) -> bool:
-    """Whether both say which plan fired them, and it is not the same; a negative number says nothing."""
+    """Whether both frames name the plan that fired them, and the plans differ; a negative number names none."""
     return left.plan_id >= 0 and right.plan_id >= 0 and left.plan_id != right.plan_id

@@ -16,10 +16,10 @@ from companion.core.stereo.vehicle_motion import VehicleMotion
 from companion.params.airframe import Airframe, Camera
 from companion.records import Deflection, Floats, Side
 
-_STEP_RAD = 1e-6  # of the difference quotient (numerical)
-_STEP_M = 1e-5  # of the difference quotient (numerical)
-_STEP_RELATIVE = 1e-6  # of the difference quotient (numerical)
-# modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
+_STEP_RAD = 1e-6  # step of the difference quotient (numerical)
+_STEP_M = 1e-5  # step of the difference quotient (numerical)
+_STEP_RELATIVE = 1e-6  # step of the difference quotient (numerical)
+# modal coordinates and antisymmetric slope, from [q symmetric, q antisymmetric, slope left, slope right], and back
 _ANTISYMMETRIC_FROM_TIPS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
 _TIPS_FROM_ANTISYMMETRIC = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
 
@@ -31,13 +31,13 @@ class Gradient:
     Attributes
     ----------
     turn_prad : (2, 3) float64
-        Per radian of rotation of the camera.
+        Change per radian of rotation of the camera.
     shift_pm : (2, 3) float64
-        Per metre of displacement of the camera.
+        Change per metre of displacement of the camera.
     focal : (2,) float64
-        Per relative change of the focal length.
+        Change per relative change of the focal length.
     lens : (9,) float64
-        Per unit of each term by which the lens residual is taken out more than it is.
+        Change per unit of each term that is taken out of the lens residual in excess.
     """
 
     turn_prad: Floats
@@ -48,7 +48,7 @@ class Gradient:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """One-sigma of a result by cause."""
+    """One-sigma of a result by cause, in the unit of the result."""
 
     modal: float
     calibration: float
@@ -76,7 +76,7 @@ def gradient_of(
     Parameters
     ----------
     inverse_depths : callable
-        Gives (m,) for m matched rays, each for itself.
+        Gives inverse depths (m,), 1/m, of m matched rays, each independent of the others.
     weights : (n,) float64
         Weights of the result.
     rays : Rays
@@ -84,7 +84,7 @@ def gradient_of(
     exposures : tuple
         Left and right exposure, for the cameras' axes.
     epipolar_from_body : (3, 3) float64
-        Frame of the lens terms.
+        Rotation to the frame of the lens terms.
     """
     changed = [rays]
     for side in Side:
@@ -111,8 +111,8 @@ def toe_gradient(epipolar_y: Floats) -> Gradient:
 
     ``epipolar_y`` (3,) is a unit vector.
 
-    A camera turned by ``r`` moves its axis toward the right wing by ``r . y``, with y the third axis of the frame whose
-    x is the baseline and z the viewing direction.
+    A camera turned by ``r`` turns its axis toward the right wing by ``r . y``, with ``y = z cross x``, x along the
+    baseline and z the viewing direction.
     """
     return Gradient(np.stack([-epipolar_y, epipolar_y]), np.zeros((2, 3)), np.zeros(2), np.zeros(PAIR_TERMS))
 
@@ -129,13 +129,13 @@ def budget(
 ) -> Budget:
     """Sigma of a result by cause.
 
-    The two exposures are so near each other that one error of the modal state holds for both: modal errors are
-    propagated jointly, calibration and stamping errors of the two cameras are independent. ``motion`` is the flight
-    between the exposures: what is not known of it, and stamps that are wrong, displace the cameras.
+    The two exposures are so near each other that one error of the modal state acts at both. So modal errors are
+    propagated jointly. Errors of calibration and stamps are independent for the two cameras. ``motion`` is the flight
+    between the exposures: errors of the velocity and of the stamps displace the cameras.
 
-    ``apart`` (12, 12), body axes, is the covariance of the cameras' relative rotation and of the lens residual
-    where matches have measured it (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other
-    causes only those that both cameras share remain.
+    ``apart`` (12, 12), body axes, is the joint covariance of the cameras' relative rotation and of the lens residual
+    (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`). With it, of the other causes only those
+    count that both cameras share.
     """
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
@@ -175,7 +175,7 @@ def _of_each_camera(
 def _of_both_cameras(
     gradient: Gradient, airframe: Airframe, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float
 ) -> tuple[float, float]:
-    """Variances by calibration and by stamps that remain where matches have measured what tells the cameras apart."""
+    """Variances by calibration and by stamps that both cameras share; matches measure the differences."""
     alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
     calibration = timing = 0.0
     for side in Side:
@@ -190,14 +190,14 @@ def _of_both_cameras(
 def _flight_variance(
     gradient: Gradient, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion
 ) -> float:
-    """Variance of a result by the velocity, whose error both cameras share, and by stamps of cameras that fly."""
+    """Variance of a result by the velocity's error, which both cameras share, and by stamps of flying cameras."""
     shared = sum(exposures[side].after_s * gradient.shift_pm[side] for side in Side)
     stamps = timing_sigma_s * (gradient.shift_pm @ motion.velocity_mps)
     return float(shared @ motion.covariance @ shared + stamps @ stamps)
 
 
 def modal_gradient(gradient: Gradient, rig: Rig, tips: TipMotion) -> Floats:
-    """Change (4,) of the result per symmetric and antisymmetric coordinate, and per left and right slope."""
+    """Change (4,) of the result per m of symmetric and antisymmetric coordinate, per rad of left and right slope."""
     change = np.zeros(4)
     for side in Side:
         camera, signs = rig.camera(side), tip_signs(side)

@@ -26,14 +26,14 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject, RelativeRotation
 
-# What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation (choice).
+# error that all matches of a pair may share: blur that differs between the cameras, imperfect interpolation (choice)
 _COMMON_MATCH_PX = 0.02
 TIMING_SIGMA_S = 1e-4
-"""Of the stamps of an exposure, where nobody says otherwise (choice)."""
+"""One-sigma of an exposure's stamp, where none is stated (choice)."""
 OPTICAL_AXIS: Floats = np.array([0.0, 0.0, 1.0])
-"""Direction in camera axes."""
+"""Viewing direction in camera axes."""
 _AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
-# 1 / (10 km): below this an inverse depth is called infinite (choice).
+# 1 / (10 km): below this the depth counts as infinite (choice)
 _INFINITY_PM = 1e-4
 
 
@@ -44,14 +44,15 @@ class RangeAnswer:
     Attributes
     ----------
     range : CorrectedRange
+        Range with its sigma.
     sectors : ObstacleSectors or None
-        Only for pairs that look forward.
+        Obstacle sectors, only for pairs that look forward.
     depths : Depths
-        Every match along the range axis, for whoever wants more than one number.
+        Inverse depths of all features along the range axis.
     match_sigma_m : float
         Part of the range's sigma that comes from matching.
     causes_m : Budget
-        The other parts, in metres.
+        The other parts by cause, m.
     """
 
     range: CorrectedRange
@@ -63,7 +64,7 @@ class RangeAnswer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairConditions:
-    """Circumstances of a pair beside the bend of the wing.
+    """Conditions of a pair besides the bend of the wing.
 
     Attributes
     ----------
@@ -72,10 +73,9 @@ class PairConditions:
     motion : VehicleMotion
         The aircraft's velocity, which moves it between unequal exposures.
     turned : RelativeRotation or None
-        What the matches say about the relative rotation beyond the bend, and about the lenses; None: the bend is taken
-        as it is.
+        Relative rotation beyond the tracked bend, and lens terms, by the matches; None: the tracked bend alone is used.
     joint_covariance : (12, 12) float64 or None
-        Of that rotation and of the lens terms; None: the lenses are taken as they were calibrated.
+        Covariance of that rotation and of the lens terms; None: lens terms without variance.
     attitude_rad : tuple or None
         Roll and pitch, by which sectors are levelled.
     """
@@ -87,7 +87,7 @@ class PairConditions:
     attitude_rad: tuple[float, float] | None = None
 
     def measured_rotation(self, body_from_epipolar: Floats) -> tuple[Floats, Floats, Floats] | None:
-        """Relative rotation (3,) by the matches, lens terms (9,), covariance (12, 12) of both; body axes."""
+        """Relative rotation (3,), rad, by the matches, lens terms (9,), covariance (12, 12) of both; body axes."""
         if self.turned is None:
             return None
         covariance = self.turned.covariance if self.joint_covariance is None else self.joint_covariance
@@ -98,7 +98,7 @@ class PairConditions:
 
 
 AS_TRACKED = PairConditions()
-"""Level flight, usual stamps, the relative rotation as the tracked bend has it."""
+"""Level flight, usual stamps, relative rotation by the tracked bend alone."""
 
 
 def correct(
@@ -119,7 +119,7 @@ def correct(
     left, right : Deflection
         The wing at the left and at the right mid-exposure.
     rig : Rig
-        Of the airframe.
+        Cameras of the airframe.
     airframe : Airframe
         Orientation, slope and twist factors, calibration sigmas.
     settings : Settings
@@ -130,7 +130,7 @@ def correct(
     Returns
     -------
     RangeAnswer
-        Always finite; ``range.reject`` says why it is not to be trusted.
+        Always finite. ``range.reject`` is the reason not to trust it.
     """
     scene = _Scene.exposed(matches.features(), left, right, rig, airframe, conditions)
     depths, toe = scene.depths(scene.matches), scene.toe()
@@ -161,10 +161,10 @@ class _Toe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """One pair as it was exposed: where the cameras were, how well that is known, and the rays of its matches.
+    """One pair as it was exposed: poses of the cameras, their covariances, and the rays of the matches.
 
-    ``lens`` (9,) are the terms of the lens residual; ``apart`` (12, 12), body axes, is the covariance of the relative
-    rotation and of these terms where matches have told them.
+    ``lens`` (9,) are the terms of the lens residual. ``apart`` (12, 12), body axes, is the covariance of the relative
+    rotation and of these terms; None without a measured rotation.
     """
 
     matches: MatchSet
@@ -189,7 +189,7 @@ class _Scene:
         airframe: Airframe,
         conditions: PairConditions,
     ) -> _Scene:
-        """Each camera at its own exposure, turned by what the matches have told."""
+        """Each camera at its own exposure, turned by the relative rotation that the matches have measured."""
         moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, conditions.motion.velocity_mps)
         lens, apart = np.zeros(PAIR_TERMS), None
         measured = conditions.measured_rotation(epipolar_frame(rig).T)
@@ -217,21 +217,21 @@ class _Scene:
         )
 
     def causes(self, estimate: InverseDepthEstimate) -> Budget:
-        """Sigma by cause of the inverse depth that an estimate makes of the matches."""
+        """Sigma by cause of an estimate's inverse depth, 1/m."""
         epipolar_from_body = epipolar_frame(self.rig)
         return self.budget(
             gradient_of(self.inverse_depths, estimate.weights, self.rays, self.moving, epipolar_from_body)
         )
 
     def toe(self) -> _Toe:
-        """How far the optical axes part."""
+        """Divergence of the optical axes beyond that of the ground calibration, and its sigma, rad."""
         sigma_rad = self.budget(toe_gradient(epipolar_axes(*(exposure.pose for exposure in self.moving))[1])).total
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
     def sectors(
         self, matches: MatchSet, common_sigma_pm: float, toe_sigma_rad: float, settings: Settings
     ) -> ObstacleSectors | None:
-        """Obstacle sectors of all matches, whose inverse depths share an error of this sigma in the middle, 1/m."""
+        """Obstacle sectors of all matches; their common error has this sigma, 1/m, at the middle of the image."""
         depths, attitude_rad = self.depths(matches), self.conditions.attitude_rad
         return matched_sectors(
             depths, self.range_axis, common_sigma_pm, self.t_host_ns, settings, attitude_rad, toe_sigma_rad
@@ -242,7 +242,7 @@ class _Scene:
         return triangulate(rays, self.range_axis, np.ones(len(rays.left))).inverse_pm
 
     def rigid_pm(self) -> Floats:
-        """Inverse depths (n,) of the matches as the ground calibration alone would have them."""
+        """Inverse depths (n,), 1/m, of the matches by the ground calibration alone."""
         return np.nan_to_num(self.inverse_depths(match_rays(self.rig, rest_exposures(self.rig), self.matches)))
 
 
@@ -286,7 +286,7 @@ def toe_between(rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> floa
 def divergence(
     pair: tuple[CameraExposure, CameraExposure], rays: tuple[Floats, Floats] = (OPTICAL_AXIS, OPTICAL_AXIS)
 ) -> float:
-    """Angle by which a ray (3,) of each camera, in its own axes, parts from the other's in the epipolar plane, rad."""
+    """Angle in the epipolar plane by which one ray (3,) of each camera, in its own axes, diverge, rad."""
     x, _, z = epipolar_axes(pair[0].pose, pair[1].pose)
     left, right = (ray @ exposure.pose.camera_from_body for ray, exposure in zip(rays, pair, strict=True))
     return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))

@@ -1,8 +1,8 @@
 """Rectification that follows the wing: a common image frame for two cameras whose poses change with every shot.
 
-The rectified frame has its x axis along the baseline of the moment and looks where the two cameras look on average, so
-that a point lies on the same row of both rectified images and its disparity is ``focal * baseline / depth``. With the
-rest poses it is the rigid rectification that a ground calibration gives.
+The rectified frame has its x axis along the present baseline and looks along the mean view of both cameras. So a point
+lies on the same row of both rectified images, and its disparity is ``focal * baseline / depth``. With the rest poses it
+is the rigid rectification of a ground calibration.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ class Rectification:
     ----------
     rectified_from_body : (3, 3) float64
     left, right : Pose
-        The camera poses it was made for.
+        Camera poses for which it was made.
     matrix : (3, 3) float64
         Pinhole of both rectified images, px.
     size_px : tuple
         Width, height of the rectified images.
     baseline_m : float
-        Distance of the centres of projection.
+        Distance of the centres of projection, m.
     """
 
     rectified_from_body: Floats
@@ -62,7 +62,7 @@ class Rectification:
         return camera.lens.project(rays @ self.rectified_from_camera(pose))
 
     def along_rows(self, camera: MountedCamera, pose: Pose, rectified_px: Floats) -> Floats:
-        """Unit direction (n, 2) in the raw image in which a rectified pixel moves along its row, the epipolar line."""
+        """Unit direction (n, 2) of the epipolar line, the rectified row, in the raw image."""
         step = np.array([0.5, 0.0])
         moved = self.to_raw(camera, pose, rectified_px + step) - self.to_raw(camera, pose, rectified_px - step)
         direction: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
@@ -79,12 +79,12 @@ def rectification(rig: Rig, left: Pose, right: Pose) -> Rectification:
 
 
 def rest_rectification(rig: Rig) -> Rectification:
-    """The rigid rectification of the ground calibration, for comparison and for airframes that do not bend."""
+    """Rigid rectification of the ground calibration, for comparison and for airframes that do not bend."""
     return rectification(rig, rig.left.rest, rig.right.rest)
 
 
 def rectify(frame: Rectification, camera: MountedCamera, pose: Pose, image: Bytes, level: int = 0) -> Bytes:
-    """Resample a raw image into the rectified frame; ``level`` halves both images so many times first.
+    """Resample a raw image into the rectified frame; both images are halved ``level`` times first.
 
     The float maps are built anew for each call, because each frame has a pose of its own.
     """
@@ -94,7 +94,7 @@ def rectify(frame: Rectification, camera: MountedCamera, pose: Pose, image: Byte
 
 
 def halved(image: Bytes, level: int) -> Bytes:
-    """The image smoothed and halved so many times; its pixel i lies on pixel ``2^level i`` of the original."""
+    """The image smoothed and halved ``level`` times; its pixel i lies on pixel ``2^level i`` of the original."""
     for _ in range(level):
         image = cv2.pyrDown(image)
     return image

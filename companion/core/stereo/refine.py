@@ -5,9 +5,9 @@ interpolated with six taps per axis (Keys' fourth-order cubic convolution), whic
 pixels as a bilinear Lucas-Kanade tracker does. Brightness offset and gain of each patch are free.
 
 A patch is not rigid: bend rolls one image of a forward-looking pair against the other, lenses shear, and on slanted
-ground disparity grows from row to row. A rigid patch answers by a displacement across the epipolar line that its
-texture chooses, and that returns in every pair. So the template takes the shape that is expected in the right image,
-and in the last step disparity may grow across it.
+ground disparity grows from row to row. With a rigid patch this gives an error across the epipolar line that depends on
+the texture and is the same in every pair. So the template takes the shape that is expected in the right image, and in
+the last step disparity may grow across it.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ HALF_WINDOW = 10  # px; 21 x 21 patches: texture enough, surfaces still nearly f
 _WINDOW = 2 * HALF_WINDOW + 1  # derived: pixels of a patch's side
 _TAPS = 6  # per axis, of Keys' fourth-order interpolation (by definition)
 _BEFORE = 2  # taps before the pixel that the coordinate falls into (by definition)
-_CONVERGED_PX = 0.02  # a last step beyond it would be seen in the range (choice)
-# Interpolation and lens leave about this much that no patch can tell from displacement (choice).
+_CONVERGED_PX = 0.02  # a larger last step would show in the range (choice)
+# least sigma of a match: interpolation and lens leave about so much (choice)
 _FLOOR_PX = 0.006
 _FITTED = 4.0  # displacement in two axes, brightness offset and gain (by definition)
-_GROWTH = 0.02  # usual growth of disparity across a patch, px per px (choice)
+_GROWTH = 0.02  # prior sigma of the growth of disparity across a patch, px per px (choice)
 _FLAT = 1e-6  # grey^2 / px^2: no texture at all (numerical)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """Refined matches; entries where ``good`` is false mean nothing.
+    """Refined matches; entries where ``good`` is false are void.
 
     Attributes
     ----------
     left_px, right_px : (n, 2) float64
-        The left point is where the patch's texture has its weight, so that a disparity that grows across the patch (a
-        slanted surface) does not bias the match.
+        The left point is the centre of weight of the patch's texture, so that a disparity that grows across the patch
+        (a slanted surface) does not bias the match.
     sigma_px : (n,) float64
-        One-sigma along the given direction.
+        One-sigma along the epipolar line.
     correlation : (n,) float64
         Weighted normalised correlation of the two patches.
     good : (n,) bool
@@ -80,7 +80,7 @@ def refine(
     slopes : (n, 2, 2) float64, optional
         Expected growth of the displacement (column, row) per pixel to the right and per pixel down.
     iterations : int
-        Steps that are made; a match that still moves after them is not good.
+        Number of steps; a match that still moves after them is not good.
     """
     slopes = np.zeros((len(left_px), 2, 2)) if slopes is None else slopes
     template = _Template(_gather(left, left_px, HALF_WINDOW + 2), along, slopes)
@@ -99,14 +99,12 @@ def refine(
     strayed = np.linalg.norm(position - start_px, axis=1)
     settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
     right_px = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
-    good = (
-        inside & settled & np.isfinite(sigma) & _inside(right, right_px)
-    )  # whoever looks back from there needs a patch
+    good = inside & settled & np.isfinite(sigma) & _inside(right, right_px)  # matching back from there needs a patch
     return Refined(left_px + centroid, right_px, sigma, correlation, good)
 
 
 class _Template:
-    """The left patches, in the shape that is expected, with what does not change during the iteration."""
+    """The left patches in their expected shape, and all that stays constant during the iteration."""
 
     def __init__(self, patches: Patches, along: Floats, slopes: Floats) -> None:
         self._along = along.astype(np.float32)
@@ -132,13 +130,13 @@ class _Template:
         return np.asarray(residual, dtype=np.float32), correlation
 
     def step(self, residual: Patches) -> Floats:
-        """Displacement (n, 2) that the residual asks for."""
+        """Displacement (n, 2), px, by one Gauss-Newton step, at most 1 px per axis."""
         pull = (self._weighted @ residual[..., np.newaxis])[..., 0]
         move: Floats = np.einsum("nij,nj->ni", self._inverse, pull.astype(np.float64))
         return np.clip(move, -1.0, 1.0)
 
     def grown(self, residual: Patches, at: Floats) -> Floats:
-        """Displacement (n, 2) at a point of each patch (n, 2), disparity being free to grow across the patch."""
+        """Displacement (n, 2), px, at a point of each patch (n, 2), if disparity may grow across the patch."""
         growth = self._grade[:, np.newaxis] * _OFFSETS.T.astype(np.float32)
         growth -= (growth @ _WEIGHT)[..., np.newaxis]
         free = np.concatenate([self._gradient, growth], axis=1)
@@ -152,7 +150,7 @@ class _Template:
         return displaced
 
     def quality(self, residual: Patches) -> tuple[Floats, Floats]:
-        """Sigma (n,) along the epipolar line, px, and the patch's centre of weight (n, 2) for displacement that way."""
+        """Sigma (n,) along the epipolar line, and the patch's centre of weight (n, 2) for displacement along it, px."""
         noise = ((residual**2) @ _WEIGHT).astype(np.float64) * _DEGREES
         pulled = np.einsum("nij,nj->ni", self._inverse, self._along).astype(np.float32)
         lever = (pulled[:, np.newaxis] @ self._weighted)[:, 0]
@@ -163,7 +161,7 @@ class _Template:
 
 
 def _window_weight() -> Patches:
-    """Gaussian window, sum 1: what is near the centre counts most."""
+    """Gaussian window of sigma half of HALF_WINDOW, sum 1."""
     across = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
     profile = np.exp(-0.5 * (across / (0.5 * HALF_WINDOW)) ** 2)
     weight = np.outer(profile, profile)

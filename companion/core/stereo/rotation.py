@@ -121,6 +121,6 @@ def relative_rotation(right_from_body: Floats, left_from_body: Floats) -> Floats
 
 
 def without_negative_eigenvalues(covariance: Floats) -> Floats:
-    """Nearest positive semidefinite matrix (n, n) to a symmetric one: its negative eigenvalues are 0."""
+    """Nearest positive semidefinite matrix (n, n) to a symmetric one: negative eigenvalues are set to 0."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

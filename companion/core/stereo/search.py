@@ -1,4 +1,4 @@
-"""Where a feature may be in the other image, and the coarse search for it along that band."""
+"""Band of the other image in which a feature may lie, and the coarse search in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from companion.records import Bools, Bytes, Floats, Ints, Side
 HALF_TEMPLATE = 5  # px at the coarse scale: 11 x 11 patches (choice)
 # A second peak nearer than this to the best one is the same peak (choice).
 _SAME_PEAK_PX = 3
-_BEND_SIGMAS = 3.0  # of gusts and trim bend, added (choice)
+_BEND_SIGMAS = 3.0  # of gusts and of trim bend, whose sigmas are added (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,10 +27,12 @@ class Search:
     ----------
     left, right : Pose
         Predicted poses.
+    min_range_m, max_range_m : float
+        Range limits, m.
     bend_tolerance_rad : float
         Largest error of the predicted relative rotation about the body's x axis (both tips' bending).
     other_tolerance_rad : float
-        The same about any axis, for mounting, twist and what else is not modelled.
+        The same about any axis, for mounting, twist and unmodelled causes.
     """
 
     left: Pose
@@ -53,7 +55,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseMatches:
-    """Best place (n, 2) of each template, px, its correlation and the best correlation elsewhere in the band."""
+    """Best place (n, 2) of each template, px, its correlation (n,) and the best correlation elsewhere in the band."""
 
     position_px: Floats
     score: Floats
@@ -61,7 +63,7 @@ class CoarseMatches:
 
 
 def trim_search(rig: Rig, airframe: Airframe, settings: Settings) -> Search:
-    """Search as in level flight when only the airframe is known: trim bend, with room for gusts and 1 g either way."""
+    """Search around trim bend, for when only the airframe is known; the band allows gusts and 1 g either way."""
     wing = airframe.wing
     slope = wing.symmetric.slope_factor_radpm.value * wing.trim_bend_m.value
     spread_m = _BEND_SIGMAS * (wing.gust.deflection_rms_m.value + wing.trim_bend_m.sigma) + wing.bend_per_g_m.value
@@ -107,7 +109,7 @@ def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Ban
     points_px : (n, 2) float64
         Patch centres.
     band : Band
-        In pixels of ``other_image``.
+        Bands in pixels of ``other_image``.
     """
     n = len(points_px)
     centre = np.rint(points_px).astype(int)
@@ -129,7 +131,7 @@ def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Ban
         position[i] = x0 + column + _vertex(scores[row], column), y0 + row + _vertex(scores[:, column], row)
         scores[:, max(column - _SAME_PEAK_PX, 0) : column + _SAME_PEAK_PX + 1] = -1.0
         runner_up[i] = cv2.minMaxLoc(scores)[1]
-    # the template sat on whole pixels; what was found belongs to the point itself
+    # the template was centred on whole pixels; the match is moved to the point itself
     return CoarseMatches(position + (points_px - centre), score, runner_up)
 
 
@@ -140,7 +142,7 @@ def _usable(centre: Ints, lower: Ints, upper: Ints, size: Ints) -> Bools:
 
 
 def _vertex(values: Floats, at: int) -> float:
-    """Offset of the parabola's top through a maximum and its neighbours; 0 at an end."""
+    """Offset of the top of the parabola through a maximum and its neighbours, px; 0 at an end."""
     if not 0 < at < len(values) - 1:
         return 0.0
     before, top, after = values[at - 1 : at + 2].tolist()

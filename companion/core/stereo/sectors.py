@@ -1,4 +1,4 @@
-"""Obstacle sectors: the nearest trusted distance in each of 72 directions, with unknown and clear told apart.
+"""Obstacle sectors: the nearest trusted distance in each of 72 directions; else clear or unknown.
 
 Sector i is centred on 5 i degrees, clockwise from forward: sector 0 spans -2.5 to +2.5 degrees. ArduPilot
 (AP_Proximity_MAV) takes ``i * increment + angle_offset`` for the bearing of element i, PX4 (ObstacleMath) half an
@@ -19,10 +19,10 @@ from companion.records import Floats, ObstacleSectors
 
 SECTORS = 72  # elements of MAVLink's OBSTACLE_DISTANCE
 _WIDTH_RAD = 2.0 * np.pi / SECTORS  # by definition: a full turn over the sectors
-# What is seen steeper than this leaves the height band long before the largest range, so it clears nothing (choice).
+# Steeper rays leave the height band long before the largest range, so they clear nothing (choice).
 _LEVEL = 0.1
-_ABOVE_M = 5.0  # above the body's origin, to which a point is in the way (choice)
-_BELOW_M = 5.0  # below the body's origin, to which a point is in the way (choice)
+_ABOVE_M = 5.0  # above the body's origin, up to which a point is an obstacle (choice)
+_BELOW_M = 5.0  # below the body's origin, down to which a point is an obstacle (choice)
 
 
 def matched_sectors(
@@ -34,26 +34,26 @@ def matched_sectors(
     attitude_rad: tuple[float, float] | None = None,
     turn_sigma_rad: float = math.inf,
 ) -> ObstacleSectors | None:
-    """Sectors from the matches of one pair; None where their vertical parallaxes say that most of them are wrong.
+    """Sectors from the matches of one pair; None if their vertical parallaxes show that most of them are wrong.
 
     Parameters
     ----------
     depths : Depths
         Inverse depths of the matches.
     range_axis : RangeAxis
-        Axis along which they are depths.
+        Axis along which the depths count.
     common_sigma_pm : float
-        One-sigma, in the middle, of the inverse depth that all matches share (bend, calibration). A toe moves the slope
-        x of a ray by ``1 + x^2``, and so this sigma grows towards the edges.
+        One-sigma, at the image's middle, of the error of inverse depth that all matches share (bend, calibration), 1/m.
+        A toe moves the slope x of a ray by ``1 + x^2``, so this sigma grows towards the edges.
     t_host_ns : int
         Time of the pair.
     settings : Settings
         Range limits and trust ratio.
     attitude_rad : tuple, optional
-        Roll and pitch: bearing and height then count from the horizon, so that a bank does not put the ground into
-        the flight's level; without them from the body's own axes.
+        Roll and pitch. With them bearing and height count from the horizon, so that in a bank the ground is no
+        obstacle; without them they count from the body's axes.
     turn_sigma_rad : float
-        One-sigma of the relative rotation, which parallaxes are judged by; infinite: not judged.
+        One-sigma of the relative rotation, for the test of parallaxes; infinite: no test.
     """
     inliers = consistent_if_explained(depths, turn_sigma_rad)
     if inliers is None:
@@ -79,12 +79,12 @@ def sectors_of(
     Parameters
     ----------
     direction : (n, 3) float64
-        From the origin toward each point, scaled so that the point is ``origin + direction / inverse``; body axes,
-        level ones where the attitude is known.
+        Direction from the origin to each point, scaled so that the point is ``origin + direction / inverse``; body
+        axes, levelled where the attitude is known.
     inverse_pm, sigma_pm : (n,) float64
         Inverse depth and its one-sigma; may be zero or negative for what is very far.
     origin_m : (3,) float64
-        Where depth counts from, in the same axes.
+        Origin of the depths, in the same axes.
     t_host_ns : int
         Time of the pair.
     settings : Settings
@@ -93,9 +93,9 @@ def sectors_of(
     Returns
     -------
     ObstacleSectors
-        A sector is known where at least two points agree on a trusted distance inside the band; clear where at least
-        three points lie beyond the largest range and none nearer was seen; everything else, also what was never looked
-        at or has no texture, is unknown.
+        A sector is known if at least two points agree on a trusted distance inside the height band. It is clear if at
+        least three points lie beyond the largest range and none nearer was seen. All else is unknown, also sectors that
+        are out of view or without texture.
     """
     slant = np.hypot(direction[:, 0], direction[:, 1])
     bearing = np.arctan2(direction[:, 1], direction[:, 0])

@@ -1,4 +1,4 @@
-"""From matched pixels to points, by inverse depth: finite and Gaussian even where rays are parallel or diverge."""
+"""From matched pixels to inverse depths, which are finite and Gaussian even where rays are parallel or diverge."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from companion.core.stereo.geometry import MountedCamera, Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.records import Bools, Floats, Ints, MatchSet
 
-# Points seen at a flatter angle to the product's axis than this say nothing about the range along it (choice).
+# least denominator of an inverse depth over the baseline: flatter rays say nothing of the range along the axis (choice)
 _FLATTEST = 0.2
 
 
@@ -42,7 +42,7 @@ class Rays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeAxis:
-    """An axis to measure along, body axes: origin (3,), direction (3,), and two unit vectors across it (2, 3)."""
+    """Axis of the range, body axes: origin (3,), direction (3,), and two unit vectors across it (2, 3)."""
 
     origin_m: Floats
     axis: Floats
@@ -58,11 +58,11 @@ class Depths:
     inverse_pm : (n,) float64
         1 / depth along the axis, per metre; zero or negative for rays that do not meet in front.
     sigma_pm : (n,) float64
-        Its one-sigma from matching.
+        Its one-sigma by matching, 1/m.
     tangent : (n, 2) float64
         Offset from the axis over depth, along two directions across it. A plane has an inverse depth linear in these.
     parallax_rad : (n,) float64
-        Left minus right across the epipolar plane; zero for perfect matches and extrinsics.
+        Left minus right slope across the epipolar plane; zero for perfect matches and extrinsics.
     sigma_rad : (n,) float64
         One-sigma of a match, as a slope.
     """
@@ -82,7 +82,7 @@ def match_rays(rig: Rig, exposures: tuple[CameraExposure, CameraExposure], match
 
 
 def range_axis_of_rig(rig: Rig, axis: Floats) -> RangeAxis:
-    """RangeAxis along ``axis`` (3,) from midway between the cameras at rest, which is where the range counts from."""
+    """RangeAxis along ``axis`` (3,) from midway between the cameras at rest, the origin of the range."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = helper - (helper @ axis) * axis
     first /= np.linalg.norm(first)
@@ -94,15 +94,15 @@ def triangulate(rays: Rays, range_axis: RangeAxis, sigma_rad: Floats) -> Depths:
     """Inverse depth of each match along a range axis.
 
     In the epipolar frame of a match (x along its baseline B, z where the cameras look) the rays have slopes x_l and
-    x_r; the point of closest approach lies at ``B / (x_l - x_r)`` along z, and the difference of the slopes y is the
-    vertical parallax. Everything is a quotient of terms linear in ``x_l - x_r``, so that zero is harmless.
+    x_r. The point of closest approach lies at ``B / (x_l - x_r)`` along z. The difference of the slopes y is the
+    vertical parallax. All results are quotients of terms linear in ``x_l - x_r``, and stay finite at zero.
 
     Parameters
     ----------
     rays : Rays
         Matched rays.
     range_axis : RangeAxis
-        Axis along which, and origin from which, depth counts.
+        Axis and origin of the depth.
     sigma_rad : (n,) float64
         One-sigma of each disparity, as a slope.
     """
@@ -137,7 +137,7 @@ def _slopes(rays: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
 
 
 def _rays(camera: MountedCamera, exposure: CameraExposure, pixels: Floats, row_time_ns: int) -> tuple[Floats, Floats]:
-    """Origins and directions (n, 3) of pixels; rows are exposed one after the other, the middle row at mid-exposure."""
+    """Origins and directions (n, 3) of pixels; rows are exposed in turn, the middle one at mid-exposure."""
     middle_row = 0.5 * (camera.lens.size_px[1] - 1)
     after_s = 1e-9 * row_time_ns * (pixels[:, 1] - middle_row)
     directions = camera.rays(exposure.pose, pixels)

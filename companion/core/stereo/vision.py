@@ -1,4 +1,4 @@
-"""Frames in, matches out: what the vision process does with every image. No wing state is needed here."""
+"""From frames to matches: the work of the vision process. No wing state is needed here."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
-_MAX_PLANS = 32  # more than can be open between two frames (choice)
+_MAX_PLANS = 32  # largest number of plans kept, more than arrive between two frames (choice)
 
 
 @dataclass(slots=True)
 class FrameChoice:
     """Choice of the pair nearest each planned instant, for cameras that run free.
 
-    A pair is taken when no neighbour can be nearer: within half the time between two pairs.
+    A pair is taken if it lies within half the time between two pairs of the planned instant: no other is nearer.
     """
 
     plans: deque[TriggerPlan] = field(default_factory=lambda: deque(maxlen=_MAX_PLANS))
     last_ns: int | None = None
 
     def plan(self, plan: TriggerPlan) -> None:
-        """Take note of an instant; a newer plan takes the place of those that were to come after it."""
+        """Add a planned instant. It replaces earlier plans of the same or a later instant."""
         while self.plans and self.plans[-1].exposure_host_ns >= plan.exposure_host_ns:
             self.plans.pop()
         if plan.firing is not Firing.SKIP:
             self.plans.append(plan)
 
     def takes(self, pair: FramePair) -> bool:
-        """Whether the pair is the one that a plan has waited for; each plan gets one."""
+        """Whether the pair is the nearest to a planned instant; each plan gets one pair."""
         t_ns = (pair.left.mid_exposure_ns + pair.right.mid_exposure_ns) // 2
         period_ns = 0 if self.last_ns is None else t_ns - self.last_ns
         self.last_ns = t_ns
@@ -54,10 +54,10 @@ class FrameChoice:
 class VisionState:
     """The pairer and the search of one camera pair, and the numbers of the frames that come next.
 
-    The search is opened as far as trim bend, gusts and load factor can move the images, and from the shortest to the
-    longest range that is asked for: it depends on airframe and settings alone, and a recorded pair gives the same
-    matches in replay, whatever the wing was believed to do. ``choice`` is for cameras that nobody triggers.
-    ``shown`` is the last pair that came, chosen or not.
+    The search covers the motion of the images by trim bend, gusts and load factor, and ranges from the shortest to the
+    longest of the settings. It depends on airframe and settings alone, so a recorded pair gives the same matches in
+    replay, whatever the estimated wing state. ``choice`` is for cameras without a trigger. ``shown`` is the last pair,
+    chosen or not.
     """
 
     airframe: Airframe
@@ -74,7 +74,7 @@ class VisionState:
     def create(
         cls, airframe: Airframe, settings: Settings, *, free_running: bool = False, first_pair: int = 0
     ) -> VisionState:
-        """For an airframe that has both cameras; a process that may take another's place numbers its pairs on."""
+        """Create the state for an airframe with both cameras; ``first_pair`` goes on from an ended process."""
         rig = Rig.from_airframe(airframe)
         pairer, choice = FramePairer(next_id=first_pair), FrameChoice() if free_running else None
         return cls(airframe, settings, rig, trim_search(rig, airframe, settings), pairer, choice)
@@ -85,7 +85,7 @@ class VisionState:
         self.search = trim_search(self.rig, self.airframe, self.settings)
 
     def match(self, pair: FramePair, now_host_ns: int) -> MatchSet:
-        """Features, those of them that the last pair's left image shows, and ahead what lies between the features."""
+        """Features, their flow since the left image of the last pair, and for a forward pair dense filling."""
         matches = match_pair(pair, self.rig, self.search, now_host_ns)
         if self.earlier is not None:
             matches = replace(matches, flow=flow_since(self.earlier, pair, matches))
@@ -95,7 +95,7 @@ class VisionState:
         return matches
 
     def frozen(self, pair: FramePair, now_host_ns: int) -> list[Rejected]:
-        """The refusal of a pair of which either image is the last one again under a new stamp, bit for bit.
+        """The refusal of a pair of which either image repeats the last one bit for bit, under a new stamp.
 
         Noise alone makes two exposures differ. Images of a single grey are equal too, and have no matches anyway.
         """
@@ -105,7 +105,7 @@ class VisionState:
         return [Rejected(Reject.FROZEN, f"pair {pair.pair_id}", now_host_ns)]
 
     def missing(self, frame: Frame) -> list[Rejected]:
-        """Frames missing in one camera's numbering: exposures whose images were lost on the way, or never made."""
+        """Frames missing in one camera's numbering: exposures whose images were lost, or never made."""
         count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
         self.numbers[frame.side] = frame.sequence + 1
         if count <= 0:
@@ -116,7 +116,7 @@ class VisionState:
 def vision_step(
     state: VisionState, record: Frame | ParameterChange | TriggerPlan, now_host_ns: int
 ) -> list[MatchSet | Rejected]:
-    """Take a frame, a changed setting or a plan; give the matches of each pair that a frame completes, or refuse it."""
+    """Take a frame, a changed setting or a plan. Give the matches of each completed pair, or its refusal."""
     if isinstance(record, ParameterChange):
         state.adopt(record)
         return []
@@ -135,5 +135,5 @@ def vision_step(
 
 
 def _is_again(last: Frame, frame: Frame) -> bool:
-    """Whether a frame shows the last one's image, and something is to be seen in it."""
+    """Whether a frame has the last one's image, and that is not of a single grey."""
     return np.array_equal(last.image, frame.image) and int(np.ptp(frame.image)) > 0
