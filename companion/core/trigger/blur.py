@@ -4,8 +4,9 @@ The image of a point at depth Z near the optical axis moves, in camera axes (x r
 
     u' = f (-omega_y - v_x / Z),   v' = f (omega_x - v_y / Z)
 
-and a roll omega_z about the axis moves a pixel at radius rho by omega_z rho, here its rms over the image. All three are
-linear in the tip's slope rate, so blur^2 is a quadratic of the forecast and its expectation needs the covariance only.
+A roll omega_z about the optical axis moves a pixel at the radius rho by omega_z rho; its rms over the image counts. All
+three are linear in the tip's slope rate. So blur^2 is quadratic in the forecast, and its expectation needs only mean
+and covariance.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from companion.records import Floats, Ints, Side
 
 @dataclass(frozen=True, slots=True)
 class GroundMotion:
-    """Rigid motion that the forecast does not hold.
+    """Rigid motion, which is not part of the forecast.
 
     Attributes
     ----------
     velocity_body_mps : (3,) float64
         Velocity over ground, body axes.
     range_m : float
-        Distance of the scene along the optical axis; infinite where unknown.
+        Distance of the scene along the optical axis, m; infinite where unknown.
     """
 
     velocity_body_mps: Floats = field(default_factory=lambda: np.zeros(3))
@@ -41,24 +42,24 @@ class GroundMotion:
 
 
 class BlurForecast(NamedTuple):
-    """Blur over a forecast's instants, each side at its own mid-exposure; ``trigger_minima`` in C reads it as it is.
+    """Blur over a forecast's instants, each side at its own mid-exposure. ``trigger_minima`` in C reads this layout.
 
     Attributes
     ----------
     t_host_ns : (n,) int64
         Mean of both mid-exposures.
     motion : (n, 2, 3) float64
-        Left and right image motion along x, y and roll; blur is its length. px, of one exposure.
+        Left and right image motion along x, y and roll during one exposure, px. Blur is its length.
     motion_per_rate : (2, 3) float64
-        What a slope rate of 1 rad/s adds to it.
+        Motion by a slope rate of 1 rad/s, px.
     acceleration_radps2 : (n, 2) float64
         Derivative of each side's slope rate.
     rate_covariance, q_covariance : (n, 2, 2) float64
-        Of both slope rates, and of both modal coordinates.
+        Covariances of both slope rates, (rad/s)^2, and of both modal coordinates, m^2.
     spring : (2, 2) float64
-        Slope acceleration of both tips per metre of either coordinate.
+        Slope acceleration, rad/s^2, of left and right tip (rows) per metre of either coordinate (columns).
     rms_px : (n, 2) float64
-        Expected rms blur, with the uncertainty of rate and exposure time, and the motion within the exposure.
+        Expected rms blur of either camera, px, with the uncertainty of rate and exposure time.
     """
 
     t_host_ns: Ints
@@ -72,7 +73,7 @@ class BlurForecast(NamedTuple):
 
 
 class BlurModel:
-    """The cameras of one airframe, as far as blur goes; without cameras, slope rate alone counts (and blur is 0 px)."""
+    """Blur of the two cameras of one airframe. Without cameras the slope rate alone counts, and blur is 0 px."""
 
     def __init__(self, airframe: Airframe) -> None:
         self._spring = _spring(airframe)
@@ -82,7 +83,7 @@ class BlurModel:
         )
 
     def predict(self, forecast: Forecast, latency: LatencyModel, motion: GroundMotion) -> BlurForecast:
-        """Predict the blur at every instant of the forecast."""
+        """Predict the blur at every instant of the forecast, with the newest body rate held."""
         step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
         nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
         rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
@@ -112,8 +113,9 @@ class BlurModel:
 class _ImageMotionMaps(NamedTuple):
     """Image motion of both cameras, (2, 3) of one exposure in px, as linear maps.
 
-    ``by_rate`` of the body rate; ``by_velocity`` of the velocity and ``by_lever`` of the body rate through the camera's
-    place, both at a range of 1 m; ``by_slope`` of the slope rate, ``by_lift`` of the lift that goes with it, at 1 m.
+    ``by_rate`` is the map of the body rate, ``by_velocity`` that of the velocity, ``by_lever`` that of the body rate
+    through the camera's place. ``by_slope`` is the motion by a slope rate, ``by_lift`` that by the lift rate that goes
+    with it. Velocity, lever and lift are at a range of 1 m. ``px`` is 1, or 0 without cameras.
     """
 
     by_rate: Floats
@@ -126,7 +128,7 @@ class _ImageMotionMaps(NamedTuple):
 
 
 def _without_cameras() -> _ImageMotionMaps:
-    """Stand-in for no cameras."""
+    """Maps without cameras: only the slope rate moves the image."""
     slope = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     still = np.zeros((2, 3, 3))
     return _ImageMotionMaps(still, still, still, slope, np.zeros((2, 3)), np.zeros(2), px=0.0)
@@ -152,7 +154,7 @@ def _image_motion_maps(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _I
 
 
 def _spring(airframe: Airframe) -> Floats:
-    """Slope acceleration of the left and right tip per metre of the symmetric and antisymmetric mode, (2, 2)."""
+    """Slope acceleration, rad/s^2, of left and right tip per metre of symmetric and antisymmetric mode, (2, 2)."""
     modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
     pull = [-((2 * np.pi * mode.frequency_hz.value) ** 2) * mode.slope_factor_radpm.value for mode in modes]
     spring: Floats = np.array([[1.0, -1.0], [1.0, 1.0]]) * np.array(pull)
@@ -160,7 +162,7 @@ def _spring(airframe: Airframe) -> Floats:
 
 
 class Streaks(NamedTuple):
-    """Image motion (n, 2, 3), what a slope rate adds to it (2, 3), slope accelerations and rms blur (n, 2)."""
+    """Image motion (n, 2, 3), motion per slope rate (2, 3), slope accelerations and rms blur (n, 2)."""
 
     image: Floats
     per_rate: Floats
@@ -183,10 +185,10 @@ def streaks(
     velocity_mps: Floats,
     nearness: float,
 ) -> Streaks:
-    """Blur over n instants, at least two, ``step_s`` apart: see :class:`BlurForecast` for the rest.
+    """Blur over n instants, at least two, ``step_s`` apart; results as in :class:`BlurForecast`.
 
-    Slope rates (n, 2) rad/s with covariance (n, 2, 2); shifts and sigmas (2,) of the exposures; body rate (3,) and
-    velocity (3,) in body axes; ``nearness`` is one over the range, 1/m.
+    Slope rates are (n, 2), rad/s, with covariance (n, 2, 2). Shifts and sigmas of the exposures are (2,), ns. Body rate
+    and velocity are (3,), body axes. ``nearness`` is one over the range, 1/m.
     """
     n = len(rates)
     out = Streaks(np.empty((n, 2, 3)), np.empty((2, 3)), np.empty((n, 2)), np.empty((n, 2)))

@@ -1,8 +1,8 @@
-"""Exposures stamped by the autopilot: its hot-shoe pin felt the shutter, which a camera's own stamp may tell worse.
+"""Exposures stamped by the autopilot: its hot-shoe pin feels the shutter, sometimes better than the camera's own stamp.
 
-CAMERA_FEEDBACK carries the boot time of the pin's edge, cut to 32 bits of microseconds; as good as the boot clock is
-known, some 0.3 ms. A camera that stamps the middle of its exposure in hardware is better; one whose frames are stamped
-when a driver gets them (``stamp_sigma_s`` in the airframe file), or on a clock that nobody knows, is worse.
+CAMERA_FEEDBACK carries the boot time of the pin's edge, cut to 32 bits of microseconds. It is as good as the boot clock
+is known, about 0.3 ms. A camera that stamps the middle of its exposure in hardware is better. A camera whose frames are
+stamped when a driver receives them (``stamp_sigma_s`` in the airframe file), or on an unknown clock, is worse.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot
 
 WRAP_NS = 2**32 * 1000  # by definition: 32 bits of microseconds
 _PIN_SIGMA_NS = 50e3
-"""From the shutter to the stamp of the pin's interrupt (choice)."""
+"""Sigma of the time from the shutter to the stamp of the pin's interrupt (choice)."""
 _NEAR_NS = 20_000_000
-"""A pair that no plan is known for has its feedback within this of its own stamp (choice)."""
-_LATE_NS = 1_000_000_000  # an edge that comes so late belongs to an exposure already processed (choice)
+"""Without a known plan, the edge of a pair lies within this time of its own stamp (choice)."""
+_LATE_NS = 1_000_000_000  # an edge that arrives later belongs to a pair already processed (choice)
 _MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate (choice)
 
 
 class StampedPair(NamedTuple):
-    """A pair, how many of its stamps are the autopilot's, and the one-sigma of the worse of both stamps."""
+    """A pair, the number of its stamps by the autopilot's pin, and the one-sigma of the worse stamp, s."""
 
     matches: MatchSet
     by_pin: int
@@ -37,7 +37,7 @@ class StampedPair(NamedTuple):
 
 
 class ExposureFeedback:
-    """Keeps edges and shots, and stamps pairs by them. ``clocks`` is only read."""
+    """Edges and shots of the last seconds, and the stamps of pairs by them. ``clocks`` is only read."""
 
     def __init__(self, airframe: Airframe, clocks: ClockBank) -> None:
         self._cameras = (airframe.left_camera, airframe.right_camera)
@@ -46,7 +46,7 @@ class ExposureFeedback:
         self._shots: OrderedDict[int, int] = OrderedDict()
 
     def edge(self, feedback: CameraFeedback) -> Reject | None:
-        """Take note of an edge, or say why not: the boot clock is not known, no such camera, older than a second."""
+        """Add an edge, or give the reason not to: boot clock not known, no such camera, older than a second."""
         received_ns = feedback.received_host_ns
         state = self._clocks.state(ClockName.BOOT, received_ns)
         if not state.synced:
@@ -64,13 +64,13 @@ class ExposureFeedback:
         return None
 
     def shot(self, shot: Shot) -> None:
-        """Take note of when a plan was fired."""
+        """Add the time at which a plan was fired."""
         self._shots[shot.plan_id] = shot.fired_host_ns
         while len(self._shots) > _MAX_ENTRIES:
             self._shots.popitem(last=False)
 
     def stamped(self, matches: MatchSet) -> StampedPair:
-        """Give the pair with the better stamps of each camera."""
+        """Give the pair with the better stamp of each camera: its own, or the pin's."""
         clocks, stamps, used = list(matches.clocks), matches.mid_exposure_ns.copy(), 0
         sigmas_s = [0.0 if camera is None else camera.stamp_sigma_s for camera in self._cameras]
         for side, camera in enumerate(self._cameras):
@@ -88,7 +88,7 @@ class ExposureFeedback:
         return StampedPair(matches, used, max(sigmas_s))
 
     def _edge_of(self, matches: MatchSet, side: int) -> tuple[int, int] | None:
-        """The first edge after the plan's shot, or where none is known the one nearest to the pair's own stamp."""
+        """Edge after the plan's shot, else the one nearest to the pair's own stamp: host time and bound, ns."""
         fired_ns, camera = self._shots.get(matches.plan_id), self._cameras[side]
         if fired_ns is not None:
             later = [at for at in self._shots.values() if at > fired_ns]
@@ -102,5 +102,5 @@ class ExposureFeedback:
 
 
 def _to_middle_ns(matches: MatchSet, camera: Camera) -> int:
-    """From the shutter's edge to the middle of the middle row's exposure."""
+    """Time from the shutter's edge to the middle of the middle row's exposure, ns."""
     return matches.exposure_ns // 2 + matches.row_time_ns * camera.height_px // 2

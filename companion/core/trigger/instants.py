@@ -1,12 +1,12 @@
-"""The instants to expose at, and how well each is known: where both images stand stillest, or the deflection peaks.
+"""Instants to expose at, with the sigma of their time: minima of the blur of both images, or deflection peaks.
 
-J(t) = sum over both cameras of |motion|^2 has a minimum where the wing stands still (in the paper's case, one symmetric
-mode, at the deflection peaks). Errors dx of the slope rates and dx' of their derivatives move it by
--(dJ'/dx . dx + dJ'/dx' . dx') / J''. With one mode the second part vanishes and the time's sigma is that of the slope
-rate over the slope acceleration; where the minimum is a compromise between two modes, it does not.
+J(t) = sum over both cameras of |motion|^2 has a minimum where the wing stands still. In the paper's case, one symmetric
+mode, these are the deflection peaks. Errors dx of the slope rates and dx' of their derivatives move a minimum by
+-(dJ'/dx . dx + dJ'/dx' . dx') / J''. With one mode the second part vanishes, and the sigma of the time is that of the
+slope rate over the slope acceleration. With two modes the minimum is a compromise, and the second part counts.
 
-A deflection peak is an extreme of the first coordinate of the family that moves fastest; its time's sigma is that of
-the coordinate's rate over its acceleration.
+A deflection peak is an extreme of the first coordinate of the family that moves fastest. The sigma of its time is that
+of the coordinate's rate over its acceleration.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from companion.core.trigger.blur import BlurForecast
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Floats
 
-_ACTIVITY_SHARE = 0.01  # chosen, of one forecast: 4 s at 25 forecasts a second
-_CLEARLY_FASTER = 1.5  # chosen, of mean squares
-_WORST_SIGMA_NS = 1e9  # as of minima of the blur (native/trigger.c; convention)
+_ACTIVITY_SHARE = 0.01  # weight of one forecast: 4 s of memory at 25 forecasts a second (choice)
+_CLEARLY_FASTER = 1.5  # ratio of mean squares at which the family changes (choice)
+_WORST_SIGMA_NS = 1e9  # largest sigma, as for minima of the blur (native/trigger.c; convention)
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedInstant:
-    """Minimum of the predicted blur, or peak; ``blur_px`` is the worse camera's expected rms."""
+    """Minimum of the predicted blur, or deflection peak. ``blur_px`` is the expected rms of the worse camera."""
 
     t_host_ns: int
     sigma_ns: int
@@ -49,7 +49,7 @@ class ModeActivity:
     _squares_mps2: Floats = field(default_factory=lambda: np.zeros(2))
 
     def add(self, forecast: Forecast) -> None:
-        """Take the rate that a forecast begins with."""
+        """Add the rate at the begin of a forecast."""
         step_s = 1e-9 * float(forecast.t_host_ns[1] - forecast.t_host_ns[0])
         rates = (forecast.q_m[1] - forecast.q_m[0]) / step_s
         self._squares_mps2 = self._squares_mps2 + _ACTIVITY_SHARE * (rates**2 - self._squares_mps2)
@@ -103,7 +103,7 @@ def deflection_peaks(
 
 
 def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:
-    """Expected rms blur of the worse camera at an instant of the forecast."""
+    """Expected rms blur of the worse camera at an instant of the forecast, px."""
     elapsed = blur.t_host_ns - blur.t_host_ns[0]
     at = t_host_ns - int(blur.t_host_ns[0])
     return float(np.interp(at, elapsed, blur.rms_px.max(axis=1)))

@@ -1,4 +1,4 @@
-"""Learned latency of each trigger path: from the command to the middle of the exposure, left and right apart."""
+"""Learned latency of each trigger path, left and right: from the command to the middle of the exposure."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from companion.records import Reject, Shot, Side, TriggerLatency
 from companion.units import MAD_TO_SIGMA
 
 MOST_LATENCY_NS = 500_000_000
-"""A frame that is further from a shot than this was not caused by it (choice)."""
+"""A frame later after a shot than this was not caused by it (choice)."""
 _MEMORY = 64  # newest latencies that the median is taken of (choice)
-_MAX_SHOTS = 256  # bound of memory: shots whose exposure may still come
-_OUTLIER_SPREADS = 6.0  # beyond what jitter of a serial link or an operating system makes (choice)
+_MAX_SHOTS = 256  # bound of memory: shots whose exposure may still arrive
+_OUTLIER_SPREADS = 6.0  # jitter of a serial link or an operating system stays below (choice)
 _LEAST_SPREAD_NS = 50e3  # resolution of stamps (choice)
 _REGIME = 5
-"""So many outliers in a row, agreeing with each other, are a new truth (another exposure, another link; choice)."""
-_JUDGED = 32  # latencies by which a camera counts as regular (choice)
+"""So many outliers in a row that agree are a new latency: another exposure, another link (choice)."""
+_JUDGED = 32  # last latencies of which most must be no outliers (choice)
 _MEDIAN_LOSS = math.pi / 2  # a median's variance over a mean's (Gaussian, derived)
 
 
 @dataclass(frozen=True, slots=True)
 class LatencyEstimate:
-    """Belief about one path: the bias and its sigma, the spread from shot to shot, and what it rests on."""
+    """Estimate of one path: bias and its sigma, spread from shot to shot, numbers of latencies and of outliers."""
 
     bias_ns: float
     bias_sigma_ns: float
@@ -75,7 +75,7 @@ class _TriggerPath:
             self.odd.clear()
 
     def _believe(self) -> LatencyEstimate:
-        """Combine prior and median; the spread starts at the prior's, on a log scale."""
+        """Combine prior and median by information. The spread goes from the prior's to the MAD's on a log scale."""
         n = len(self.latencies_ns)
         if n == 0:
             return LatencyEstimate(self.prior_ns, self.prior_sigma_ns, self.prior_sigma_ns, self.count, self.outliers)
@@ -91,9 +91,10 @@ class _TriggerPath:
 
 
 class LatencyModel:
-    """Bias and spread per camera, from shots and the measured exposures that they caused.
+    """Bias and spread of the latency per camera, from shots and the measured exposures that they caused.
 
-    The prior is the airframe's ``Camera.latency_s`` plus half the exposure (and half the rows of a rolling shutter).
+    The prior is ``Camera.latency_s`` of the airframe file plus half the exposure (and half the rows of a rolling
+    shutter).
     """
 
     def __init__(self, airframe: Airframe) -> None:
@@ -110,8 +111,8 @@ class LatencyModel:
     def exposure(self, side: Side, plan_id: int, mid_exposure_host_ns: int) -> Reject | None:
         """Learn from a measured exposure.
 
-        ``plan_id`` pairs it with its shot; where it is negative or unknown, the shot whose expected exposure is nearest
-        in time is taken. ``UNPAIRED`` means that there is none, ``INCONSISTENT`` that the latency is an outlier.
+        ``plan_id`` pairs it with its shot. If it is negative or unknown, the shot whose expected exposure is nearest in
+        time is taken. ``UNPAIRED`` means that there is none, ``INCONSISTENT`` that the latency is an outlier.
         """
         fired = self._fired.get(plan_id) if plan_id >= 0 else None
         if fired is None:
@@ -127,34 +128,34 @@ class LatencyModel:
         return plan_id in self._fired
 
     def regular(self, side: Side) -> bool:
-        """Whether most of a camera's last latencies were none of the outliers: only then an outlier is a wrong stamp.
+        """Whether most of a camera's last latencies were no outliers. Only then an outlier means a wrong stamp.
 
-        A camera that runs freely, or whose latency is not what the airframe file says, makes outliers all the time.
+        A camera that runs freely, or whose latency is not that of the airframe file, has outliers all the time.
         """
         usual = self._paths[side].usual
         return 2 * sum(usual) > len(usual)
 
     def estimate(self, side: Side) -> LatencyEstimate:
-        """Give the belief about one camera."""
+        """Give the estimate of one camera."""
         return self._paths[side].belief
 
     @property
     def lead_ns(self) -> int:
-        """From the command to the mean of both mid-exposures."""
+        """Time from the command to the mean of both mid-exposures, ns."""
         return round(sum(path.belief.bias_ns for path in self._paths) / 2)
 
     def shifts_ns(self) -> tuple[float, float]:
-        """Left and right mid-exposure, relative to their mean."""
+        """Left and right mid-exposure relative to their mean, ns."""
         left, right = (path.belief.bias_ns for path in self._paths)
         return (left - right) / 2, (right - left) / 2
 
     def sigmas_ns(self) -> tuple[float, float]:
-        """One-sigma of the next left and right mid-exposure: bias and spread together."""
+        """One-sigma of the next left and right mid-exposure, ns: bias and spread together."""
         left, right = (math.hypot(path.belief.bias_sigma_ns, path.belief.spread_ns) for path in self._paths)
         return left, right
 
     def learned(self, now_host_ns: int) -> TriggerLatency | None:
-        """Tell what to keep for the next flight; None before there is anything."""
+        """Give the learned latencies to keep for the next flight; None with too few shots."""
         beliefs = [path.belief for path in self._paths]
         shots = min(belief.count for belief in beliefs)
         if shots < _REGIME:
@@ -170,7 +171,7 @@ class LatencyModel:
 
 
 def to_middle_s(camera: Camera) -> float:
-    """Time from the start of the first row's exposure to the middle of the middle row's, which stamps tell."""
+    """Time from the start of the first row's exposure to the middle of the middle row's, where stamps lie."""
     return camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
 
 

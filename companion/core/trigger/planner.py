@@ -1,4 +1,4 @@
-"""The plan to fire or to skip: which instant, or which tick of the timer, the cameras expose at next."""
+"""The plan to fire or to skip: the instant, or the tick of the timer, of the next exposure."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ HORIZON_NS = 250_000_000
 """Reach of a forecast: two intervals of the fastest usual rate, and a half period of a slow wing (choice)."""
 STEP_NS = 5_000_000  # a tenth of the period at 20 Hz; minima are refined by a parabola (choice)
 MARGIN_NS = 3_000_000
-"""A plan needs so long to reach the trigger process; nearer to its command a plan is not changed (choice)."""
-_SLOW_PIPE_NS = 40_000_000  # chosen: a plan may be so long under way to the trigger process of a busy machine
+"""Time that a plan needs to reach the trigger process. Nearer to its command a plan is not changed (choice)."""
+_SLOW_PIPE_NS = 40_000_000  # time that a plan may need on a busy machine (choice)
 EXPIRY_NS = 10_000_000
-"""A command that could not be given within this is not given: the wing would be moving again (choice)."""
-_HARDLY_MORE = 1.03  # chosen: a blur larger by this is not worth a later shot
-_STILL_PX = 0.1  # chosen: nor is one that no match sees
+"""A command later than this is not given: the wing would be moving again (choice)."""
+_HARDLY_MORE = 1.03  # ratio of blurs that is not worth a later shot (choice)
+_STILL_PX = 0.1  # nor is a blur below this, which matches do not show (choice)
 _EARLY_FRACTION = 0.3
-"""A peak may come before its turn by this share of the interval; on average the rate is never exceeded (choice)."""
-_ANY_SPACING_NS = 50_000_000  # of peaks, where fewer than two are forecast: 10 Hz (choice)
+"""Share of the interval by which a peak may come before its turn; the average rate is kept (choice)."""
+_ANY_SPACING_NS = 50_000_000  # spacing of peaks, if fewer than two are forecast: 10 Hz (choice)
 _NOT_YET = -1  # before the first call (convention)
 _MS_NS = 1_000_000  # nanoseconds in a millisecond (by definition)
 
@@ -50,7 +50,7 @@ class Aim(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Draft:
-    """A plan without its number; ``at_peak`` tells the peaks from the timer, skipped or not."""
+    """A plan without its number. ``at_peak``: of a peak, fired or skipped; else of the timer."""
 
     firing: Firing
     exposure_ns: int
@@ -62,11 +62,11 @@ class _Draft:
 
 
 class Planner:
-    """Keeps one open plan and refines it until its command is due; then looks for the next.
+    """One open plan, refined until its command is due; then the next.
 
-    The same peak keeps its ``plan_id`` while its time is refined, so the trigger process replaces the plan and cannot
-    fire twice. Numbers begin at the first call's host time in ms, above all of a process that died before. Call it
-    every 40 ms with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
+    The same peak keeps its ``plan_id`` while its time is refined. So the trigger process replaces the plan and cannot
+    fire twice. Numbers begin at the host time of the first call in ms, above all numbers of an ended process. Call
+    :meth:`plan` every 40 ms with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
     """
 
     def __init__(self, airframe: Airframe, settings: Settings, latency: LatencyModel) -> None:
@@ -92,19 +92,19 @@ class Planner:
         Parameters
         ----------
         forecast : Forecast or Reject
-            Of the wing tracker, three instants or more; or why there is none.
+            Forecast of the wing tracker, three instants or more; or the reason for none.
         validity : Validity
-            Of the newest mode state; ``CALM`` means the timer.
+            Validity of the newest mode state; ``CALM`` means the timer.
         now_host_ns : int
             The tick's time.
         motion : GroundMotion, optional
-            Speed over ground and range; still and infinitely far where unknown.
+            Velocity and range; zero and infinite where unknown.
 
         Returns
         -------
         TriggerPlan or None
-            ``SKIP`` plans say why in ``reject`` and withdraw an earlier plan of that id. None: the open plan stays as
-            it is (triggering is off, it is being fired, or nothing can be seen yet).
+            ``SKIP`` plans have their reason in ``reject`` and withdraw an earlier plan of that id. None: the open plan
+            stays (triggering is off, it is being fired, or the forecast does not reach far enough).
         """
         if self._due_ns == _NOT_YET:
             self._due_ns = now_host_ns + self._interval_ns
@@ -120,10 +120,10 @@ class Planner:
         return None if draft is None else self._number(draft, now_host_ns)
 
     def fired(self, shot: Shot) -> None:
-        """Take note of a shot: one of a plan that was replaced too late to be stopped has had its turn all the same.
+        """Add a shot. A shot of a plan that was replaced too late takes its turn all the same.
 
-        On a busy machine a plan may reach the trigger process after the command of the one it replaces. What is open
-        then comes too early, and is withdrawn by the next :meth:`plan`.
+        On a busy machine a plan may reach the trigger process after the command of the plan that it replaces. The open
+        plan then comes too early, and the next :meth:`plan` withdraws it.
         """
         is_open = self._open is not None and self._open.plan_id == shot.plan_id
         if is_open or shot.plan_id <= self._fired_id:
@@ -136,7 +136,7 @@ class Planner:
     # ---------------------------------------------------------------------------------------- the open plan
 
     def _being_fired(self, now_ns: int) -> bool:
-        """Close the open plan when its command has passed; True while that is happening."""
+        """Close the open plan once its command has passed; True while the command is within :data:`MARGIN_NS`."""
         if self._open is None or self._draft is None:
             return False
         until_ns = self._open.command_host_ns - now_ns
@@ -206,7 +206,7 @@ class Planner:
         return self._peak(self._instants(forecast, blur, now_ns), blur, now_ns)
 
     def _tick(self, firing: Firing, blur: BlurForecast | None, now_ns: int, reject: Reject | None = None) -> _Draft:
-        """Expose when it is due, whatever the wing does; an open tick is not pushed along."""
+        """Draft of the timer: expose when due, whatever the wing does. An open tick is not put off."""
         exposure_ns = self._due_from(now_ns)
         held = self._draft
         if held is not None and not held.at_peak and held.exposure_ns >= max(self._earliest(now_ns), self._due_ns):
@@ -214,7 +214,7 @@ class Planner:
         return _Draft(firing, exposure_ns, 0, blur_at_px(blur, exposure_ns) if blur else 0.0, reject, at_peak=False)
 
     def _instants(self, forecast: Forecast, blur: BlurForecast, now_ns: int) -> list[PlannedInstant]:
-        """Instants that TRG_AIM aims at, in order of time."""
+        """Instants at which TRG_AIM aims, in order of time."""
         self._activity.add(forecast)
         if self.settings.trigger_aim == Aim.BLUR:
             return still_instants(blur, now_ns)
@@ -238,7 +238,7 @@ class Planner:
         return self._stand_in(blur, due_ns)
 
     def _slips_away(self, instants: list[PlannedInstant], now_ns: int) -> bool:
-        """Tell whether the open plan's peak has moved so near that only the plan as it stands can still fire there."""
+        """Whether the open plan's peak is so near that no changed plan can reach it."""
         instant = self._held(instants)
         return instant is not None and instant.t_host_ns < self._earliest(now_ns)
 
@@ -253,9 +253,9 @@ class Planner:
         return nearest
 
     def _best(self, instants: list[PlannedInstant], now_ns: int) -> PlannedInstant:
-        """Instant of least blur among those that may be fired at, the first where that is hardly more; the first peak.
+        """Instant of least blur among those that may be fired at, or an earlier one of hardly more; of peaks the first.
 
-        Neither from nor to an instant whose command comes before another plan surely arrives is a plan to fire moved.
+        A plan to fire is not moved from or to an instant whose command may come before another plan arrives.
         """
         held, near_ns = self._held(instants), self._earliest(now_ns) + _SLOW_PIPE_NS
         if held is not None and self._open is not None and self._open.firing is not Firing.SKIP:
@@ -279,13 +279,13 @@ class Planner:
         return _Draft(firing, instant.t_host_ns, instant.sigma_ns, instant.blur_px, reject, True, spacing_ns)
 
     def _stand_in(self, blur: BlurForecast, due_ns: int) -> _Draft:
-        """Peaks are rarer than asked: fire the timer, where blur is least around its turn, if that is good enough."""
+        """Draft of the timer if no peak comes in its turn: where blur is least, skipped if that is too large."""
         window = (blur.t_host_ns >= due_ns) & (blur.t_host_ns <= due_ns + self._early_ns)
         worst = np.where(window, blur.rms_px.max(axis=1), np.inf)
         exposure_ns = int(blur.t_host_ns[np.argmin(worst)]) if window.any() else due_ns
         held = self._draft
         if held is not None and not held.at_peak and held.exposure_ns >= due_ns:
-            exposure_ns = held.exposure_ns  # or a late tick would be pushed along for ever
+            exposure_ns = held.exposure_ns  # or a late tick would be put off again and again
         blur_px = blur_at_px(blur, exposure_ns)
         poor = blur_px > self.settings.trigger_blur_px
         firing, reject = (Firing.SKIP, Reject.BLUR_TOO_LARGE) if poor else (Firing.TIMER, None)
@@ -299,7 +299,7 @@ class Planner:
         return max(self._due_ns, self._earliest(now_ns))
 
     def _after_last(self, spacing_ns: int) -> int:
-        """Give the first instant that cannot be the last peak, estimated anew."""
+        """Give the first instant that cannot be the last peak with a new estimate of its time."""
         if self._last is None:
             return 0
         return self._last.exposure_ns + min(max(3 * self._last.sigma_ns, MARGIN_NS), spacing_ns // 2)
@@ -322,6 +322,6 @@ def _spacing(instants: list[PlannedInstant]) -> int:
 
 
 def _same(held: _Draft, new: _Draft) -> bool:
-    """Tell whether a draft refines the open plan: the same peak, or the same tick."""
+    """Whether a draft refines the open plan: the same peak, or the same tick."""
     near = abs(held.exposure_ns - new.exposure_ns) < held.spacing_ns // 2
     return held.at_peak == new.at_peak and (near or not new.at_peak)

@@ -1,4 +1,4 @@
-"""The planner in the pipeline: asks the tracker, keeps the rate, learns the latency from what the cameras report."""
+"""The planner in the pipeline: forecasts from the tracker, latency from the exposures of the cameras."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet, OutputRecord, Reject, Shot, Side, Validity
 
 _PLAN_PERIOD_NS = 40_000_000  # the tracker's own period: a plan between has no newer state (derived)
-_BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000  # chosen: neither a few lost images nor one slow pair is a loose line
+_BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000  # shots and time without a pair of images that mean a loose line (choice)
 
 
 @dataclass(slots=True)
 class Scheduling:
-    """Plans on the tick, at most every ``_PLAN_PERIOD_NS``."""
+    """Planner and latency of one airframe; plans at most every ``_PLAN_PERIOD_NS``."""
 
     planner: Planner
     latency: LatencyModel
@@ -40,7 +40,7 @@ class Scheduling:
     def tick(
         self, tracker: WingTracker, validity: Validity | None, motion: GroundMotion, now_host_ns: int
     ) -> Iterator[OutputRecord]:
-        """Plan, when it is time to."""
+        """Give the plan in force, if one is due to be made."""
         if validity is None or now_host_ns < self.next_plan_ns:
             return
         self.next_plan_ns = now_host_ns + _PLAN_PERIOD_NS
@@ -51,7 +51,7 @@ class Scheduling:
             yield plan
 
     def fired(self, shot: Shot) -> None:
-        """Remember a shot."""
+        """Add a shot."""
         if not self.unseen:
             self.unseen_since_ns = shot.fired_host_ns
         self.unseen += 1
@@ -63,10 +63,10 @@ class Scheduling:
         return self.unseen >= _BLIND_SHOTS and now_host_ns - self.unseen_since_ns >= _BLIND_NS
 
     def exposed(self, matches: MatchSet) -> Reject | None:
-        """Learn from measured exposures on the host's clock; others would be converted by a guess.
+        """Learn from measured exposures whose stamps are on the host's clock.
 
-        ``STAMP_OUTLIER`` where an exposure is off the latency that its camera keeps otherwise, or is no exposure that
-        its shot can have caused: the stamp is wrong. Without a shot nothing is said.
+        ``STAMP_OUTLIER`` means a wrong stamp: an exposure is off its camera's usual latency, or its shot cannot have
+        caused it. None without a shot.
         """
         self.unseen = 0
         verdict = None
