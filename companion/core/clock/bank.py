@@ -1,4 +1,4 @@
-"""All clocks of the flow, and the way from any of their stamps to host time."""
+"""All remote clocks, and the conversion of their stamps to host time."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from companion.records import ClockName, ClockRestart, ClockState, Ints, Reject,
 class ClockBank:
     """One estimator per remote clock (the autopilot, every wing node, every camera).
 
-    Ask each remote for TIMESYNC about ten times a second: the bound shrinks with the luckiest round trip of a minute,
-    and a restarted clock is locked again after eight answers or 1.5 s. One that was known well is taken back when it is
-    known about as well again, or after 1.5 s.
+    Ask each remote for TIMESYNC about ten times a second. The bound shrinks with the shortest round trip of a minute. A
+    restarted clock is locked again after eight answers or 1.5 s. One that was known well is locked again when its bound
+    is about what it was, or after 1.5 s.
     """
 
     def __init__(self) -> None:
@@ -19,7 +19,7 @@ class ClockBank:
         self._identities = {ClockName.HOST}
 
     def exchange(self, reply: TimesyncReply) -> ClockState:
-        """Take one answered exchange and give what is now known of that clock.
+        """Add one answered exchange and give the new state of that clock.
 
         A round trip that is negative or longer than a second is discarded.
         """
@@ -39,20 +39,20 @@ class ClockBank:
         Parameters
         ----------
         clock : ClockName
-            Whose stamps they are.
+            Clock of the stamps.
         t_ns : (n,) int64
             Stamps on ``clock``, in any order.
         received_host_ns : int, optional
-            When they arrived. Give it for live samples: they are then refused where the newest is from the future, or
-            from more than half a second ago, so that a restarted clock cannot stamp wrongly before its restart was
-            noticed. Older ones may come with it.
+            Time of their arrival, for live samples. They are refused if the newest is in the future, or more than half
+            a second old, so that a restarted clock gives no wrong stamps before its restart is noticed. Older stamps
+            may come with it.
 
         Returns
         -------
         (n,) int64 and int, or Reject
-            Host stamps and the bound [ns] that their error does not exceed; or ``CLOCK_UNSYNCED`` (never locked,
-            suspended by a contradiction, silent for 5 s and known worse than 2 ms), or ``TIME_BACKWARDS`` (stamps older
-            than what is known of the clock).
+            Host stamps and the bound [ns] of their error; or ``CLOCK_UNSYNCED`` (never locked, suspended by a
+            contradiction, or silent for 5 s with a bound above 2 ms); or ``TIME_BACKWARDS`` (stamps from before the
+            first exchange, or too old on arrival).
         """
         if clock in self._identities:
             return t_ns, 0
@@ -60,7 +60,7 @@ class ClockBank:
         return Reject.CLOCK_UNSYNCED if remote is None else remote.to_host(t_ns, received_host_ns)
 
     def state(self, clock: ClockName, now_host_ns: int | None = None) -> ClockState:
-        """Give what is known of a clock, at ``now_host_ns`` or at its last exchange."""
+        """Give the state of a clock, at ``now_host_ns`` or at its last exchange."""
         if clock in self._identities:
             return ClockState(clock, now_host_ns or 0, 0, 0.0, 0, True)
         return self._remote(clock).state(now_host_ns)
@@ -70,7 +70,7 @@ class ClockBank:
         return clock in self._identities or self._remote(clock).synced()
 
     def restarts(self, clock: ClockName) -> int:
-        """How often a clock was seen to begin anew, announced or found from exchanges that contradict all older."""
+        """Number of restarts of a clock, announced or found from exchanges that contradict all older ones."""
         return self._remote(clock).restarts
 
     def counters(self) -> dict[str, int]:

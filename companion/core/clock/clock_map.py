@@ -1,8 +1,8 @@
-"""The stamps' way to host time: piecewise linear, continuous, monotone, and the same whenever it is asked.
+"""Map from remote stamps to host time: piecewise linear, continuous, monotone, and the same for every request.
 
-A better estimate never makes stamps jump: each exchange adds a knot, and the line from there on steers towards the
-estimate at no more than :data:`MOST_SLEW`, so sample spacing is torn by 0.1 % at worst. What is still to be steered is
-part of the bound. Earlier knots are kept, so a stamp that is asked for again (smoother, cameras) gets the same answer.
+A better estimate never makes stamps jump. Each exchange adds a knot. From there the line steers towards the estimate at
+no more than :data:`MOST_SLEW`, so sample spacing changes by at most 0.1 %. The offset that is still to be steered is
+part of the bound. Earlier knots are kept, so a stamp that is converted again (smoother, cameras) has the same result.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from companion.core.kernels.arrays import plain
 from companion.native.library import ARRAY, INTEGER, kernel
 from companion.records import Ints
 
-MOST_SLEW = 1e-3  # sample spacing is torn by 0.1 % at most, below what the filter feels (choice)
-# so long an error is steered away, and no longer where the exchanges fall silent (choice)
+MOST_SLEW = 1e-3  # sample spacing changes by 0.1 % at most, which does not disturb the filter (choice)
+# time over which an error of offset is steered away (choice)
 _STEER_NS = 2.5e9
-_KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother asks for (choice)
+_KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother needs (choice)
 
 
 _to_host = kernel("clock_to_host", ARRAY, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
@@ -26,7 +26,7 @@ _to_host = kernel("clock_to_host", ARRAY, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 
 @dataclass(frozen=True, slots=True)
 class Knot:
-    """From ``remote_ns`` on, ``host = host_ns + (1 - shrink) (remote - remote_ns)``, wrong by at most the bound."""
+    """Segment from ``remote_ns`` on: ``host = host_ns + (1 - shrink) (remote - remote_ns)``, and its error's bound."""
 
     remote_ns: int
     host_ns: int
@@ -40,16 +40,16 @@ class Knot:
         return self.host_ns + elapsed - int(self.shrink * elapsed)
 
     def bound_at_ns(self, host_ns: int) -> int:
-        """Bound the error of a stamp of this segment."""
+        """Bound of the error of a stamp of this segment, ns."""
         return int(self.bound_ns + self.bound_rate * abs(host_ns - self.host_ns)) + 1
 
 
 class ClockMap:
-    """Knots from an estimate's history."""
+    """The last knots of one clock, and their conversion of stamps."""
 
     def __init__(self) -> None:
         self._newest: Knot | None = None
-        self._straight: tuple[float, float] | None = None  # skew, and bound when all is steered; None once it is
+        self._straight: tuple[float, float] | None = None  # skew, and bound once steering ends; None after that
         self._count = 0
         self._stamps = np.zeros((_KNOTS, 2), np.int64)  # of each knot: remote, host
         self._slopes = np.zeros((_KNOTS, 3))  # shrink, bound, rate of the bound
@@ -60,7 +60,7 @@ class ClockMap:
     def steer(
         self, host_ns: int, offset_ns: float, base_ns: int, skew: float, bound_ns: float, skew_bound: float
     ) -> None:
-        """From ``host_ns`` on, approach the line ``remote = host + base + offset + skew (t - host)``."""
+        """Add a knot at ``host_ns``: from there approach ``remote = t + base + offset + skew (t - host)``."""
         last = self._newest
         if last is not None and host_ns <= last.host_ns:
             return
@@ -76,7 +76,7 @@ class ClockMap:
         self._add(Knot(remote_ns, host_ns, slope / (1 + slope), bound_ns + abs(error_ns), skew_bound))
 
     def coast(self, host_ns: int) -> None:
-        """Go on by the skew alone where no exchange came until ``host_ns`` and the last one's error is steered away."""
+        """Add a knot where the last error is steered away, if no exchange came: by the skew alone from there."""
         last = self._newest
         if last is None or self._straight is None or host_ns <= last.host_ns + _STEER_NS:
             return
@@ -95,9 +95,9 @@ class ClockMap:
         self._count += 1
 
     def to_host(self, t_ns: Ints) -> tuple[Ints, int, int, int]:
-        """Map stamps, (n,) int64 with n > 0, exactly in integers but for the skew's share.
+        """Convert stamps, (n,) int64 with n > 0, exactly in integers but for the product with the skew.
 
-        Also give the oldest and the newest host stamp, and the largest bound [ns].
+        Gives the host stamps, the oldest and the newest of them, and the largest bound [ns].
         """
         t_ns = plain(t_ns)
         host_ns, ends_ns = np.empty(len(t_ns), np.int64), np.empty(3, np.int64)

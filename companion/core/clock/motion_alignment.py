@@ -1,17 +1,17 @@
-"""The time of a node that does not answer TIMESYNC, from the motion that it shares with the autopilot's IMU.
+"""Clock offset of a node that does not answer TIMESYNC, from the motion that it shares with the autopilot's IMU.
 
-In manoeuvres and gusts the whole aircraft turns, and every station's gyro sees it. The lag between a node's body rates
-and the autopilot's, both smoothed until the wing's own modes are gone, is the node's clock offset. What differs and is
-not lag (bending, noise, bias) is what the sigma is made from, block by block, so that it holds for coloured residuals.
+In manoeuvres and gusts the whole aircraft turns, and every station's gyro measures it. The lag between a node's body
+rates and the autopilot's, both smoothed until the wing's own modes are gone, is the node's clock offset. The sigma
+comes from the residuals (bending, noise, bias), block by block, so that it holds for coloured residuals.
 
-A node without gyro feels the aircraft's heave, and the roll through its lever arm, in its vertical specific force. The
-autopilot's IMU says what a rigid wing would feel there; the lag is found against that. What the wing itself moves there
-grows with the square of the frequency, so this is smoothed more, and it takes twice as long: 24 s with pull-ups and
-rolls give it to about a millisecond, where rates give a third of that in 12 s.
+A node without gyro measures the aircraft's heave, and the roll through its lever arm, in its vertical specific force.
+The autopilot's IMU gives the force that a rigid wing would have there, and the lag is found against that. The wing's
+own motion in the force grows with the square of the frequency. So force is smoothed more and takes twice as long: 24 s
+with pull-ups and rolls give the lag to about a millisecond, rates give a third of that in 12 s.
 
-Both kinds of knowledge are handed on as exchanges, as if the node had been asked: what arrived was taken at most
-:data:`MOST_DELAY_NS` before, and an alignment says how old the quickest arrivals are, to within its sigmas. The clock
-estimator then treats such a node like any other, bound, skew, restart and all.
+Both results become exchanges, as if the node had answered. A sample was taken at most :data:`MOST_DELAY_NS` before its
+arrival. An alignment says how old the quickest arrivals are, to within its sigmas. The clock estimator then treats such
+a node like any other, with bound, skew and restart.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from companion.params.airframe import Sensor
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, TimesyncReply
 
 MOST_DELAY_NS = 60_000_000
-"""From a sample to its arrival, at most; a slower link cannot be aligned (choice)."""
-SIGMAS = 4.0  # half width of an exchange made from a lag: false in 6 of 100,000 (choice)
+"""Longest time from a sample to its arrival; a slower link cannot be aligned (choice)."""
+SIGMAS = 4.0  # half width of an exchange from a lag, in sigmas: wrong in 6 of 100,000 (choice)
 LARGEST_SIGMA_S = 0.0025
-"""A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees (choice)."""
-# chosen: a lag of 12 s of motion changes little in 2 s; until the first, one is looked for more often
+"""A lag with a larger sigma is not used: at 5 Hz this is 4.5 degrees of the mode's phase (choice)."""
+# time between alignments: a lag of 12 s of motion changes little in 2 s; and between exchanges by arrival (choice)
 _EVERY_S, _COARSE_S = 2.0, 0.5
-# a Hann window so long passes a seventh at 1.9 Hz and a thirtieth from 2.5 Hz on (choice)
+# motion compared, and Hann window that leaves a seventh at 1.9 Hz and a thirtieth from 2.5 Hz on (choice)
 _WINDOW_S, _SMOOTH_S = 12.0, 0.8
-# chosen: twice the two above, for what the wing itself moves grows with the square of the frequency
+# twice the two above: the wing's own motion grows with the square of the frequency (choice)
 _HEAVE_WINDOW_S, _HEAVE_SMOOTH_S = 24.0, 1.6
-_CELL_S = 0.02  # 50 cells a second, far above the smoothing (choice)
+_CELL_S = 0.02  # cells of the averages: 50 a second, far finer than the smoothing (choice)
 _BLOCK = 75  # cells in 1.5 s (derived)
-_SEARCH_S = 0.004  # coarse step: Gauss-Newton converges from half of it (choice)
-# what the stamps themselves leave open: an autopilot's are of sending, 0.1 to 0.6 ms late (choice)
+_SEARCH_S = 0.004  # step of the search: Gauss-Newton converges from half of it (choice)
+# sigma of the stamps themselves: an autopilot's are of sending, 0.1 to 0.6 ms late (choice)
 _STAMPS_SIGMA_S = 0.0003
-_HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag (choice)
-_LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others (choice)
-_NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay (choice)
-_GAUSS_NEWTON_STEPS = 4  # chosen: steps after the coarse search, which is near; more move nothing
+_HEAVE_FLOOR_S = 0.0006  # sigma by bend in step with the manoeuvre, which looks like a lag (choice)
+_LINK_SIGMA_S = 0.0001  # sigma of the least delay of two seconds against that of others (choice)
+_NEAR_NS = 1_000_000_000  # arrivals within this time of an instant give the least delay (choice)
+_GAUSS_NEWTON_STEPS = 4  # steps after the coarse search; more change nothing (choice)
 _BUFFER_S = 32.0  # the longer window and the largest delay (derived)
-_HELD_NS = 64_000_000_000  # by arrival, twice that: a clock that stands still fills no window (choice)
+_HELD_NS = 64_000_000_000  # twice that by arrival: a clock that stands still fills no window (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Lag:
 
 @dataclass(slots=True)
 class _Series:
-    """Samples (n, 6) of one sensor with their stamps; several batches, joined when they are needed."""
+    """Samples (n, 6) of one sensor with their stamps, ns, in batches."""
 
     stamps: list[Ints] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
@@ -85,7 +85,7 @@ class _Series:
 
 
 class MotionAlignment:
-    """Alignment of one node: takes both streams, and is asked for exchanges about every 20 ms."""
+    """Alignment of one node by the samples of node and root; ask for :meth:`exchanges` about every 20 ms."""
 
     def __init__(self, clock: ClockName) -> None:
         self.clock = clock
@@ -98,19 +98,19 @@ class MotionAlignment:
 
     @staticmethod
     def possible(axes: Axis) -> bool:
-        """Whether a node that measures these axes can be aligned: it needs rates, or its vertical specific force."""
+        """Whether a node with these axes can be aligned: it needs rates, or vertical specific force."""
         return bool(axes & (Axis.GYRO | Axis.Z))
 
     def sensors(self, node: Sensor, root: Sensor) -> None:
-        """Take note of where both are, and by how much the root's low-passes delay more than the node's."""
+        """Set the lever arm, and the delays of the root's low-passes less the node's."""
         self._lever_m = np.subtract(node.position_m, root.position_m)
         force_s = lowpass_delay_s(root.lowpass_accel_hz) - lowpass_delay_s(node.lowpass_accel_hz)
-        # a node's rates against the root's; for a force the root's rates stand for angular acceleration at the node
+        # the root's rates are compared with the node's rates, or, carried to the node, with its force
         node_s = lowpass_delay_s(node.lowpass_gyro_hz if self._turns else node.lowpass_accel_hz)
         self._delay_s = (force_s, lowpass_delay_s(root.lowpass_gyro_hz) - node_s)
 
     def add_node(self, batch: ImuBatch) -> None:
-        """Take samples of the node, stamps on its own clock."""
+        """Add samples of the node, stamps on its own clock."""
         self._turns = [k for k, axis in enumerate((Axis.P, Axis.Q, Axis.R)) if axis & batch.axes]
         self._node.add(batch.t_ns, batch.values, batch.received_host_ns)
         newest = int(batch.t_ns[-1])
@@ -123,7 +123,7 @@ class MotionAlignment:
             del self._arrivals[0]
 
     def add_root(self, batch: ImuBatch) -> None:
-        """Take samples of the autopilot's IMU, in host time."""
+        """Add samples of the autopilot's IMU, in host time."""
         self._root.add(batch.t_ns, batch.values, batch.received_host_ns)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
@@ -131,7 +131,8 @@ class MotionAlignment:
         if now_host_ns >= self._next_coarse_ns and self._arrivals:
             self._next_coarse_ns = now_host_ns + round(_COARSE_S * 1e9)
             stamp_ns, received_ns = self._arrivals[-1]
-            # as wide to both sides: an arrival tells its sample's age from one, and would pull the middle from the lag
+            # The sample is not newer than its arrival. The exchange is as wide to both sides all the same: a one-sided
+            # one would pull the estimate away from the lag.
             early_ns = stamp_ns - MOST_DELAY_NS
             yield TimesyncReply(self.clock, received_ns - 2 * MOST_DELAY_NS, early_ns, received_ns)
         if now_host_ns >= self._next_fine_ns and self._node.stamps and self._root.stamps:
@@ -156,14 +157,14 @@ class MotionAlignment:
         if lag.sigma_s > LARGEST_SIGMA_S:
             return
         middle_ns = start_ns + round(span_s * 0.5e9)
-        # how old the quickest arrivals were at the middle of the window, and so are now: the link has not changed
+        # age of the quickest arrivals at the middle of the window; it is the same now, if the link has not changed
         age_ns = self._quickest(middle_ns)[0] - base_ns + round(lag.lag_s * 1e9)
         _, stamp_ns, received_ns = self._quickest(self._arrivals[-1][1] - _NEAR_NS)
         half_ns = round(SIGMAS * math.hypot(lag.sigma_s, _LINK_SIGMA_S) * 1e9)
         yield TimesyncReply(self.clock, received_ns - age_ns - half_ns, stamp_ns, received_ns - age_ns + half_ns)
 
     def _quickest(self, host_ns: int) -> tuple[int, int, int]:
-        """Arrival minus stamp, stamp and arrival of what came quickest within a second of a host time."""
+        """Arrival minus stamp, stamp and arrival, ns, of the quickest batch within a second of a host time."""
         near = [
             (received - stamp, stamp, received)
             for stamp, received in self._arrivals
@@ -181,7 +182,7 @@ class MotionAlignment:
 
 
 def lowpass_delay_s(cutoff_hz: float) -> float:
-    """Delay of a 2nd-order Butterworth far below its cutoff, ``sqrt(2)/omega``; 0 where there is none."""
+    """Delay of a 2nd-order Butterworth far below its cutoff, ``sqrt(2)/omega``, s; 0 without a filter."""
     return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz) if cutoff_hz > 0 else 0.0
 
 
@@ -194,25 +195,25 @@ def lag_between(
     most_s: float,
     axes: Sequence[int] = (0, 1, 2),
 ) -> Lag | None:
-    """Find by how much the node's series is late against the root's.
+    """Lag of the node's stamps behind the root's, from body rates.
 
     Parameters
     ----------
     node_s, root_s : (n,), (m,) float64
-        Stamps; the node's are late by 0 to ``most_s``.
+        Stamps, s; the node's are late by 0 to ``most_s``.
     node, root : (n, 3), (m, 3) float64
         Body rates in rad/s.
     span_s : float
-        Both series cover 0 to this.
+        Both series cover the time from 0 to this, s.
     most_s : float
-        The largest lag.
+        The largest lag, s.
     axes : sequence of int
-        Those that the node measures; its other columns are not looked at.
+        Axes that the node measures; its other columns are not used.
 
     Returns
     -------
     Lag or None
-        None where nothing moves.
+        None if nothing moves.
     """
     edges = _edges(span_s, most_s)
     reference, slope = _smoothed(_means(root_s, root, edges), _SMOOTH_S)
@@ -223,25 +224,25 @@ def lag_between(
 
 
 def carried(force_mps2: Floats, rates_radps: Floats, lever_m: Floats) -> Floats:
-    """Specific force (n, 3) that a rigid wing would feel at a lever arm, from cell means of the root's.
+    """Specific force (n, 3), m/s^2, at a lever arm on a rigid wing, from cell means of the root's force and rates.
 
-    ``f + omega' x r + omega x (omega x r)``, all (n, 3) but the lever (3,), body axes.
+    ``f + omega' x r + omega x (omega x r)``, all (n, 3) but the lever (3,), m, body axes.
     """
     turning = np.cross(np.gradient(rates_radps, _CELL_S, axis=0), lever_m)
     return np.asarray(force_mps2 + turning + np.cross(rates_radps, np.cross(rates_radps, lever_m)))
 
 
 def heave_lag(node_s: Floats, node_mps2: Floats, rigid_mps2: Floats, span_s: float, most_s: float) -> Lag | None:
-    """Find by how much a node's vertical specific force is late against a rigid wing's.
+    """Lag of the node's stamps behind the root's, from its vertical specific force against a rigid wing's.
 
     Parameters
     ----------
     node_s : (n,) float64
-        Stamps, late by 0 to ``most_s``.
+        Stamps, s, late by 0 to ``most_s``.
     node_mps2 : (n, 1) float64
-        What it measured along z.
+        Its specific force along z.
     rigid_mps2 : (c, 3) float64
-        What it would have felt rigidly (see :func:`carried`), in the cells between 0.5 s and
+        Specific force there on a rigid wing (see :func:`carried`), in the cells between 0.5 s and
         ``span_s - most_s - 0.5`` s.
     span_s, most_s : float
         See :func:`lag_between`.
@@ -285,7 +286,7 @@ def _edges(span_s: float, most_s: float) -> Floats:
 
 
 def _means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
-    """Averages over the cells between edges, from the running integral of what lies between the samples."""
+    """Averages over the cells between edges, by the integral of the samples' linear interpolation."""
     area = np.zeros_like(values)
     np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t_s)[:, np.newaxis], axis=0, out=area[1:])
     at = np.stack([np.interp(edges, t_s, column) for column in area.T], axis=1)
@@ -293,7 +294,7 @@ def _means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
 
 
 def _smoothed(values: Floats, window_s: float) -> tuple[Floats, Floats]:
-    """The slow part and its derivative, as far as the window reaches."""
+    """Series smoothed by a Hann window and its derivative, without the half windows at both ends."""
     window = np.hanning(round(window_s / _CELL_S) + 2)
     window /= window.sum()
     slow = np.stack([np.convolve(column, window, mode="valid") for column in values.T], axis=1)
@@ -305,12 +306,12 @@ def _level(values: Floats) -> Floats:
 
 
 def _regressed(difference: Floats, slope: Floats, others: Floats) -> tuple[float, float]:
-    """``difference = -lag slope + others b + rest``: the lag left and its sigma, axes weighted by how well they fit.
+    """Remaining lag and its sigma, s, of ``difference = -lag slope + others b + rest``; axes are weighted by their fit.
 
-    ``others`` are the wanted series and their second derivatives, each axis into each: a node that is tilted by the
-    bend sees a little of the other axes, its scale is not the root's, and the wing gives way to acceleration. The sigma
-    is the jackknife's over blocks of 1.5 s, so that it holds for coloured residuals and for what the fit of ``others``
-    takes away.
+    ``others`` are the root's series and their second derivatives, all axes for each axis: a node tilted by the bend
+    measures a little of the other axes, its scale differs from the root's, and the wing bends under acceleration. The
+    sigma is the jackknife's over blocks of 1.5 s. It holds for coloured residuals, and includes the loss by fitting
+    ``others``.
     """
     estimate = _solved(difference, slope, others)
     starts = range(0, len(slope) - _BLOCK // 2, _BLOCK)

@@ -1,4 +1,4 @@
-"""One remote clock: exchanges in, host stamps and an honest bound out, or an explicit "not synced"."""
+"""One remote clock: from exchanges to host stamps with a bound of their error, or a refusal."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, SKEW_DRIF
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
-"""Silence of the exchanges after which the clock counts as lost, unless it is still known well (choice)."""
+"""Silence after which the clock counts as lost, unless its bound is at most 2 ms (choice)."""
 MOST_BOUND_NS = 10_000_000
-"""A clock known less well than this is not synced (choice)."""
+"""Largest bound of a synced clock (choice)."""
 MOST_ROUND_TRIP_NS = 1_000_000_000  # a longer one bounds nothing useful (choice)
 MOST_DELAY_NS = 500_000_000
-"""A sample that claims to be older than this on arrival belongs to another life of its clock (choice)."""
+"""A live sample older than this on arrival was stamped before a restart of its clock (choice)."""
 _FEWEST_EXCHANGES = 3  # two set a line, the third contradicts a false one (choice)
-_SETTLED_EXCHANGES = 8  # 0.8 s at 10 Hz (choice)
+_SETTLED_EXCHANGES = 8  # enough for a clock that was not known well before: 0.8 s at 10 Hz (choice)
 _SETTLED_SPAN_NS = 1_500_000_000  # a restarted clock waits no longer than this (choice)
-_GOOD_BOUND_NS = 2_000_000  # of the mode's phase at 5 Hz it is 3.6 degrees (choice)
+_GOOD_BOUND_NS = 2_000_000  # at 5 Hz this is 3.6 degrees of the mode's phase (choice)
 _BEFORE_FIRST_NS = 2_000_000_000  # samples may be older than the first exchange by what a link buffers (choice)
-_MOST_LAG_NS = 50_000_000  # a restart goes back by seconds, a busy simulator by milliseconds (choice)
+_MOST_LAG_NS = 50_000_000  # a restart goes back by seconds, a busy simulator's clock lags by milliseconds (choice)
 _WARMING_SKEW = 20e-6
-"""By how much a restart may have changed a crystal: half a minute's cooling of a cheap one (choice)."""
-_AS_GOOD = 3.0  # times the bound before a restart (choice)
-_LEAST_GOAL_NS = 50e3  # no link is asked for better after a restart (choice)
+"""Change of a crystal's skew over a restart: half a minute of cooling of a cheap one (choice)."""
+_AS_GOOD = 3.0  # ratio of the bounds after and before a restart at which the clock is used again (choice)
+_LEAST_GOAL_NS = 50e3  # a smaller bound is not required after a restart (choice)
 
 
 @dataclass(frozen=True, slots=True)
 class _Before:
-    """Knowledge of the clock from before its restart: limits of its skew, and the bound to wait for, ns."""
+    """State of the clock before its restart: limits of its skew, and the bound to wait for, ns."""
 
     skews: tuple[float, float] = ANY_SKEW
     goal_ns: float = _GOOD_BOUND_NS
@@ -40,13 +40,15 @@ class _Before:
 class RemoteClockEstimator:
     """Estimator of one clock.
 
-    An exchange that contradicts all others suspends the clock at once. The next one decides: if it agrees with the old
-    ones the odd one was wrong, if it agrees with the odd one the clock has restarted and everything older is void.
-    A restart goes seconds back; what is behind by some milliseconds is a simulated autopilot whose machine is busy, and
-    it catches up: that must last a second to count, and nothing is converted meanwhile.
-    Only the crystal is still the same: a restarted clock keeps about the skew it had. And it is taken back when it is
-    known about as well as before, or after 1.5 s: whoever has learned something of its stamps' error meets no slow
-    drift, which the steering of a hasty first guess would be.
+    An exchange that contradicts all others suspends the clock at once. The next one decides. If it agrees with the old
+    ones, the exchange before was wrong. If it agrees with that one, the clock has restarted, and all older exchanges
+    are void. A restart goes back by seconds. A clock that is off by some milliseconds may be a simulated autopilot
+    whose machine is busy, and which catches up. This must last a second to count as a restart, and nothing is converted
+    meanwhile.
+
+    The crystal stays the same, so a restarted clock keeps about its skew. It is used again when its bound is about what
+    it was, or after 1.5 s. A hasty first estimate would be steered away slowly, and users that have learned the error
+    of its stamps would see a drift.
     """
 
     def __init__(self, clock: ClockName) -> None:
@@ -106,7 +108,7 @@ class RemoteClockEstimator:
         return host, bound
 
     def state(self, now_host_ns: int | None = None) -> ClockState:
-        """Give what is known, at ``now_host_ns`` or at the last exchange."""
+        """Give the clock's state, at ``now_host_ns`` or at the last exchange."""
         now = self._last_host_ns if now_host_ns is None else now_host_ns
         if not self._mapping:
             base_ns = 0 if self._window is None else self._window.base_ns
@@ -120,7 +122,7 @@ class RemoteClockEstimator:
         return ClockState(self.clock, now, offset, self._skew * 1e6, bound, synced)
 
     def synced(self) -> bool:
-        """Whether the clock was known at the last exchange."""
+        """Whether the clock was synced at the last exchange."""
         return bool(self._mapping) and self._is_synced(self._bound_at_ns(self._last_host_ns))
 
     def _is_synced(self, bound_ns: int) -> bool:
@@ -130,12 +132,12 @@ class RemoteClockEstimator:
         return self._mapping.newest().bound_at_ns(host_ns) + self._drifted_ns(host_ns)
 
     def _drifted_ns(self, host_ns: int) -> int:
-        """How far the skew's drift may have led since the last exchange, where that is long ago."""
+        """Bound of the offset by the skew's drift since the last exchange, ns; 0 within :data:`STALE_NS` of it."""
         silent_ns = host_ns - self._last_host_ns
         return int(0.5e-9 * SKEW_DRIFT_PER_S * silent_ns * silent_ns) if silent_ns > STALE_NS else 0
 
     def _in_time(self, host_ns: int, bound_ns: int) -> bool:
-        """Whether exchanges came lately, or the clock is known well all the same: its bound grows by the skew's."""
+        """Whether the last exchange is recent, or the bound, which grows with time, is still small."""
         return host_ns <= self._last_host_ns + STALE_NS or bound_ns <= _GOOD_BOUND_NS
 
     def _forget(self) -> None:
@@ -162,7 +164,7 @@ class RemoteClockEstimator:
             self.exchange(exchange_reply)
 
     def _lags(self, reply: TimesyncReply) -> bool:
-        """Whether an exchange is so little off that the clock may only be behind."""
+        """Whether an exchange is off by so little that the clock may only lag."""
         if not self._mapping:
             return False
         middle_ns = (reply.sent_host_ns + reply.received_host_ns) // 2

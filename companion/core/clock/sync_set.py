@@ -1,8 +1,8 @@
-"""The lines that a remote clock may follow: a convex set of (offset, skew), cut down by every exchange.
+"""Lines that a remote clock may follow: a convex set of (offset, skew), cut by every exchange.
 
 A remote stamp ``r`` was read somewhere between our sending at ``s`` and our receiving at ``e`` (host). A clock that
 runs forward therefore fulfils ``r(s) <= r <= r(e)``: two half-planes in (offset, skew) that hold whatever the link did.
-Their intersection gives an estimate, and a bound that does not assume delays to be alike in both directions
+Their intersection gives an estimate and its bound, without assuming equal delays in both directions
 (the linear-programming view of Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", 2002).
 """
 
@@ -49,7 +49,7 @@ class FeasibleLines:
         return offset_ns, skew, half_offset_ns, half_skew
 
     def moved(self, later_ns: float) -> FeasibleLines:
-        """Give the same lines for a reference time that is later by so much."""
+        """Give the same lines for a reference time that is later by ``later_ns``."""
         moved = self.corners.copy()
         moved[:, 0] += moved[:, 1] * later_ns
         return FeasibleLines(moved)
@@ -66,7 +66,7 @@ class FeasibleLines:
         """
         polygon = np.empty((len(self.corners) + len(uppers) + len(lowers), 2))
         while (count := _cut(self.corners, later_ns, uppers, lowers, polygon)) > len(polygon):
-            # rounding made more than one a cut
+            # by rounding, a cut may add more than one corner
             polygon = np.empty((count, 2))
         return FeasibleLines(polygon[:count]) if count else None
 

@@ -1,4 +1,4 @@
-"""The exchanges that still tell something: the tightest of every second, for a minute, and the lines they leave."""
+"""Exchanges that count: the tightest of every second, for a minute; and the lines that they allow."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import numpy as np
 from companion.core.clock.sync_set import FeasibleLines
 from companion.records import TimesyncReply
 
-WINDOW_NS = 60_000_000_000  # drift of the skew loosens older exchanges by more than 0.09 ms (derived)
+WINDOW_NS = 60_000_000_000  # the skew's drift widens older exchanges by more than 0.09 ms (derived)
 MOST_SKEW = 500e-6  # far beyond any crystal (choice)
 ANY_SKEW = (-MOST_SKEW, MOST_SKEW)
 SKEW_DRIFT_PER_S = 5e-8
 """How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s (derived)."""
 _BUCKET_NS = 1_000_000_000  # one pair of bounds a second: sixty in all (choice)
-_ENOUGH = 4  # exchanges in a second that allow leaving the tightest out (choice)
+_ENOUGH = 4  # fewest exchanges in a second of which the tightest may be left out (choice)
 _CAREFUL_NS = 10_000_000_000
-"""As long the tightest upper bound of a second is not believed, where the second has so many exchanges."""
+"""Time at the start in which the tightest upper bound of a second is left out, if there are enough (choice)."""
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
-"""Granularity allowed to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
-by whole physics frames), are tried only when the exchanges contradict each other without them, and widen the bound."""
+"""Granularity granted to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
+by whole physics frames). They are tried only if the exchanges contradict each other without, and widen the bound."""
 _FINE_NS = _TOLERANCES_NS[1]
 LONGEST_LAG_NS = 1_000_000_000
-"""As long a simulated autopilot may be behind before it catches up (choice)."""
+"""Longest time for which a simulated autopilot lags before it catches up (choice)."""
 _NEAR_NS = 300_000_000
-"""So near to an exchange that was caught, others may be of a clock that was only a little behind (choice)."""
-_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)  # convention: time and offset of a bound that binds nothing
+"""Exchanges within this time of a contradicting one may be of a clock that lagged a little (choice)."""
+_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)  # time and offset of a bound without effect (convention)
 
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
-    """The line in the middle of those that fit: at the newest exchange, relative to the window's base offset."""
+    """Middle of the lines that fit: offset at the newest exchange, ns, relative to the window's base offset."""
 
     offset_ns: float
     skew: float
@@ -46,7 +46,7 @@ class _Bound(NamedTuple):
 
 
 class _Bucket(NamedTuple):
-    """The tightest of a second: two upper bounds, the tighter first (equal while there is but one), and one lower."""
+    """Tightest bounds of a second: two upper ones, the tighter first (equal if there is one), and one lower."""
 
     number: int
     careful: bool
@@ -67,7 +67,7 @@ class _Bucket(NamedTuple):
         return _Bucket(self.number, self.careful, self.exchanges + 1, (first, second), largest, self.lagged)
 
     def upper(self) -> _Bound | None:
-        """Give the upper bound to be believed once the second is over; none of a second in which the clock lagged."""
+        """Give the upper bound that counts once the second is over; None for a second in which the clock lagged."""
         if self.lagged:
             return None
         return self.uppers[self.careful and self.exchanges >= _ENOUGH]
@@ -77,15 +77,15 @@ _Relative = tuple[float, float, float]
 
 
 class ExchangeWindow:
-    """Bounds from the exchanges of the last minute; dropping the looser ones of a second only widens the answer.
+    """Bounds from the exchanges of the last minute; leaving out the looser ones of a second only widens the set.
 
-    A simulated autopilot's clock stands still while its machine is busy, as no crystal would; what is read then is too
-    early, and makes an upper bound that is tight and false. One that the others contradict is set aside, and so are
-    those that follow within a second, as long as they are behind; of a second with several such, no upper bound is
-    believed. While nothing can contradict it (the first ten seconds), and a minute around one that was caught, the
-    tightest upper bound of every second is left out.
+    A simulated autopilot's clock stands still while its machine is busy, as no crystal does. A stamp read then is too
+    early, and gives an upper bound that is tight and false. An exchange that the others contradict is set aside, and so
+    are those that follow within a second while they lag. Of a second with several of these no upper bound counts. In
+    the first ten seconds, when nothing can contradict, and for a minute around a contradicting exchange, the tightest
+    upper bound of every second is left out.
 
-    ``skews`` limits the skew where something is known of it: until the exchanges contradict that, or fill the window.
+    ``skews`` limits the skew if it is known from before, until the exchanges contradict that or fill the window.
     """
 
     def __init__(self, first: TimesyncReply, skews: tuple[float, float] = ANY_SKEW) -> None:
@@ -106,7 +106,7 @@ class ExchangeWindow:
         self.add(first)
 
     def add(self, reply: TimesyncReply) -> ClockFit | None:
-        """Take one exchange and give the fit; None, and nothing is kept, where it contradicts the others."""
+        """Add one exchange and give the fit; None, without adding it, if it contradicts the others."""
         upper, lower = _bounds(reply, self.base_ns)
         now = max(reply.received_host_ns, self._at_ns)
         lines_before, later = self._lines, now - self._at_ns
@@ -122,7 +122,7 @@ class ExchangeWindow:
             lagged = number <= self._lagged_until
             bucket = _Bucket(number, now < self._careful_until_ns, 1, (upper, upper), lower, lagged)
         lines = None
-        if lines_before is not None and same and self._closed:  # within a second the skew cannot change by much
+        if lines_before is not None and same and self._closed:  # within a second the skew changes by little
             lines = _cut(lines_before, later, self._running(bucket), bucket.lower, now, self._tolerance_ns)
         closed = self._closed if same or last is None else [*self._closed, last]
         lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
@@ -148,7 +148,7 @@ class ExchangeWindow:
         self._aside += 1
 
     def _may_wait(self, lines: FeasibleLines, upper: _Bound, now_ns: int) -> bool:
-        """Whether an exchange that contradicts the others is set aside: the first, and those of a clock that lags."""
+        """Whether to set a contradicting exchange aside: the first one, and those of a clock that lags."""
         self._aside_from(now_ns)
         behind = lines.between((float(upper.at_ns - now_ns), upper.offset_ns + _FINE_NS), _NO_LOWER) is None
         return self._aside == 1 or (behind and now_ns - self._aside_ns < LONGEST_LAG_NS)
@@ -159,7 +159,7 @@ class ExchangeWindow:
         return ClockFit(offset, self._skew, half_width + coarse, half_skew)
 
     def _grown_careful(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int) -> tuple[list[_Bucket], _Bucket]:
-        """An exchange was caught: there may be some that were not, near it, before it, or in the minute to come."""
+        """Leave out tight upper bounds around contradicting exchanges: near them others may lag unnoticed."""
         self._careful_until_ns = now_ns + WINDOW_NS
         marked = [each._replace(careful=True) for each in closed]
         first, last = (at // _BUCKET_NS for at in (self._aside_ns - _NEAR_NS, now_ns + _NEAR_NS))
@@ -176,7 +176,7 @@ class ExchangeWindow:
             self._skews = ANY_SKEW
 
     def _running(self, bucket: _Bucket) -> _Bound | None:
-        """The upper bound to be believed of a second that is not over: where exchanges are rare there is no choice."""
+        """The upper bound that counts of the present second; if exchanges are rare, the only one."""
         if bucket.lagged:
             return None
         if not bucket.careful or (self._closed and self._closed[-1].exchanges < _ENOUGH):
@@ -184,7 +184,7 @@ class ExchangeWindow:
         return bucket.uppers[1] if bucket.exchanges > 1 or not self._closed else None
 
     def _rebuilt(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int, most_ns: float) -> FeasibleLines | None:
-        """Intersect all bounds, with as little tolerance as they allow; more than there was only up to ``most_ns``."""
+        """Intersect all bounds with the least tolerance that leaves a line, up to ``most_ns`` or the present one."""
         running = self._running(bucket)
         highs = [*(each.upper() for each in closed), running]
         uppers = [_relative(high, now_ns) for high in highs if high is not None]
@@ -222,7 +222,7 @@ def _cut(
 
 
 def _relative(bound: _Bound, now_ns: int) -> _Relative:
-    """Give a bound's time before now, its offset, and what the skew's drift may have added since."""
+    """Give a bound's time relative to now (ns, not positive), its offset, and its widening by the skew's drift, ns."""
     at = float(bound.at_ns - now_ns)
     return at, float(bound.offset_ns), 0.5 * SKEW_DRIFT_PER_S * 1e-9 * at * at
 

@@ -1,4 +1,4 @@
-"""Nodes that answer no TIMESYNC: each is aligned by the motion that it shares with the autopilot's IMU."""
+"""Nodes that answer no TIMESYNC: alignment of each by the motion that it shares with the autopilot's IMU."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from companion.core.clock.motion_alignment import MotionAlignment
 from companion.params.airframe import Sensor
 from companion.records import ClockName, ImuBatch, TimesyncReply
 
-_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered (choice)
+_PATIENCE_NS = 3_000_000_000  # time without an answer after which a node is aligned by motion (choice)
 _NODES = (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)
 
 
 class UnsyncedNodes:
-    """Who has not answered for some seconds, and one :class:`MotionAlignment` for each of them."""
+    """Nodes without an answer for some seconds, with one :class:`MotionAlignment` each."""
 
     def __init__(self) -> None:
         self._unanswered_ns: dict[ClockName, int] = {}
         self._alignments: dict[ClockName, MotionAlignment] = {}
 
     def answered(self, clock: ClockName, received_host_ns: int) -> None:
-        """Take note of an answer: its owner is silent no more."""
+        """Note an answer: the alignment of its clock ends."""
         self._alignments.pop(clock, None)
         self._unanswered_ns[clock] = received_host_ns
 
     def restarted(self, clock: ClockName) -> None:
-        """Forget the motion that was stamped by a clock's last life."""
+        """Forget the motion that was stamped before a clock's restart."""
         self._alignments.pop(clock, None)
 
     def note(self, batch: ImuBatch, sensor: Sensor, root: Sensor) -> None:
-        """Take samples of any station, stamped by its own clock: those of silent nodes are kept."""
+        """Add samples of a station, stamped by its own clock; those of silent nodes are kept."""
         clock = batch.clock
         if clock not in _NODES:
             return
@@ -40,7 +40,7 @@ class UnsyncedNodes:
             alignment.sensors(sensor, root)
 
     def note_root(self, batch: ImuBatch) -> None:
-        """Take samples of the autopilot's IMU, in host time."""
+        """Add samples of the autopilot's IMU, in host time."""
         for alignment in self._alignments.values():
             alignment.add_root(batch)
 
