@@ -37,7 +37,7 @@ typedef struct {
         *linearisation_rows;
     double aliasing_variance;
     int64_t moments_beside_gyro;
-    const array *lift_acceleration_variance, *motion_covariance;
+    const array *lift_acceleration_share, *lift_acceleration_covariance, *motion_covariance;
 } model_record;
 
 typedef struct {
@@ -47,12 +47,19 @@ typedef struct {
 /* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: its derivatives by roll rate and
  * acceleration and by each rank's lift, lift rate and lift acceleration, itself, what a linear form of these leaves of
  * the slope row, the part of the force by the way inboard, what a unit of force adds to the row, what tilt and force
- * read together, the force's variance by accelerations of higher modes that are not expected, the force as it is
- * expected without the measured acceleration, for the row that measures it, and its derivative by that. */
+ * read together, the force's variance by accelerations that the measured sums do not tell apart, and as a blow has it,
+ * whose shares are not a gust's, the force as it is
+ * expected without the measured acceleration, for the row that measures it, and its derivatives by that of this tip and
+ * of the other. */
 typedef struct {
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
-        force, rest, inboard, gain, lean, variance, expected, per_measured;
+        force, rest, inboard, gain, lean, variance, blow_variance, expected, per_measured, per_other;
 } moving_tip;
+
+/* What each rank of modes has in a tip's acceleration beyond the expected one, and in the other tip's. */
+typedef struct {
+    const double *own, *other, *covariance;
+} rank_shares;
 
 /* Everything of a run as plain pointers, and scratch arrays of one step. `used` are the numbers of the used rows,
  * `position` each row's place among them (-1: absent); the scratch matrices hold the used rows. */
@@ -65,7 +72,8 @@ typedef struct {
 
     const model_record *model;
     const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *load_noise, *load_cross_cov,
-        *load_noise_in_rows, *linearisation_rows, *lift_acceleration_variance, *motion_covariance;
+        *load_noise_in_rows, *linearisation_rows, *lift_acceleration_share, *lift_acceleration_covariance,
+        *motion_covariance;
     const int64_t *row, *col;
     int64_t entries, linearised_rows;
 
@@ -145,23 +153,45 @@ static double lift_of_tip(const run *f, int side)
     return lift;
 }
 
-/* Mean lift rates over step k by rank, from those at its start and the measured acceleration of all ranks together: of
- * higher ranks the expected part, of the first the rest. Returns the first rank's mean acceleration. */
-static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
+/* What the measured sum of all ranks' lift accelerations of a tip is beyond the expected one. */
+static double beyond_expected(const run *f, int64_t k, int side)
 {
-    const double *start = f->linearised + MODES + side + 2, *expected = start + 2;
-    double slope = f->linearised[SLOPES + side], step_s = f->constants->step_s;
+    const double *expected = f->linearised + MODES + side + 4;
+    double slope = f->linearised[SLOPES + side];
     double tilted = (0.5 * f->vertical_mps2[2 * k + side] * slope + f->lateral_mps2[2 * k + side]) * slope;
-    double first = f->lever_m[side] * f->linearised[ROLL_ACCELERATION] - f->rows[k * ROWS + Z_LEFT + side] - tilted +
-                   turn_squared(f, k) * lift_of_tip(f, side);
-    for (int64_t b = 1; b < f->ranks; b++) {
-        first -= expected[b * EACH_RANK];
-        rates[b] = start[b * EACH_RANK] + 0.5 * step_s * expected[b * EACH_RANK];
-    }
+    double beyond = f->lever_m[side] * f->linearised[ROLL_ACCELERATION] - f->rows[k * ROWS + Z_LEFT + side] - tilted +
+                    turn_squared(f, k) * lift_of_tip(f, side);
+    for (int64_t b = 0; b < f->ranks; b++)
+        beyond -= expected[b * EACH_RANK];
+    return beyond;
+}
+
+/* Shares of each rank in what both tips show beyond the expected, of this tip's and of the other's, and the covariance
+ * of the ranks' accelerations that this leaves open. */
+static rank_shares find_shares(const run *f, int side)
+{
+    static const double none[MAX_RANKS] = {0.0};
+    int64_t ranks = f->ranks;
+    const double *shares = f->lift_acceleration_share, *covariances = f->lift_acceleration_covariance;
     if (f->position[Z_LEFT + side] < 0)
-        first = expected[0];
-    rates[0] = start[0] + step_s * (0.5 * first + f->rows[k * ROWS + M_LEFT + side]);
-    return first;
+        return (rank_shares){none, none, covariances + 2 * ranks * ranks};
+    if (f->position[Z_LEFT + 1 - side] < 0)
+        return (rank_shares){shares, none, covariances + ranks * ranks};
+    return (rank_shares){shares + ranks, shares + 2 * ranks, covariances};
+}
+
+/* Mean lift accelerations and rates over step k by rank, as expected and with shares of what is beyond that; and the
+ * acceleration's first moment, by which lift and force change together. */
+static void find_lift_rates(const run *f, int64_t k, int side, rank_shares share, double *accelerations, double *rates,
+                            double *inside)
+{
+    const double *start = f->linearised + MODES + side + 2, *moment = f->rows + k * ROWS + M_LEFT;
+    double own = beyond_expected(f, k, side), other = beyond_expected(f, k, 1 - side), step_s = f->constants->step_s;
+    for (int64_t b = 0; b < f->ranks; b++) {
+        accelerations[b] = start[b * EACH_RANK + 2] + share.own[b] * own + share.other[b] * other;
+        inside[b] = -step_s * (share.own[b] * moment[side] + share.other[b] * moment[1 - side]);
+        rates[b] = start[b * EACH_RANK] + 0.5 * step_s * accelerations[b] - inside[b];
+    }
 }
 
 /* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
@@ -169,49 +199,67 @@ static double find_lift_rates(const run *f, int64_t k, int side, double *rates)
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 {
     const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
-    const double *K = f->shortening_pm + side * f->ranks * f->ranks;
+    const double *expected_of_other = f->linearised + MODES + 1 - side + 4;
+    int64_t squares = f->ranks * f->ranks;
+    bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
+    const double *K = f->shortening_pm + side * squares;
+    rank_shares share = find_shares(f, side);
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
     double across = p_dot - f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
-    double rates[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
-    double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0;
-    double first = find_lift_rates(f, k, side, rates);
-    double inside = -step_s * f->rows[k * ROWS + M_LEFT + side]; /* lift and force change together */
-    bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
+    double accelerations[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
+    double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0, by_sum = 0.0;
+    find_lift_rates(f, k, side, share, accelerations, rates, inside);
     moving_tip tip = {.force = 0.0};
     for (int64_t a = 0; a < f->ranks; a++) {
-        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, of_first = measured ? K[a * f->ranks] : 0.0;
-        double by_moment = of_first * inside;
+        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, by_moment = 0.0;
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
-        double mean_lift = lift + quarter * (a ? expected[a * EACH_RANK] : first - 2.0 * inside / step_s);
+        double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
             double shortening = measured ? K[a * f->ranks + b] : 0.0;
-            by_lift += shortening * (b ? expected[b * EACH_RANK] : first);
+            by_lift += shortening * accelerations[b];
             by_rate += shortening * rates[b];
+            by_moment += shortening * inside[b];
+            tip.per_acceleration[b] -= shortening * lift;
             tip.expected -= K[a * f->ranks + b] *
                             (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
-            tip.per_acceleration[b] -= b ? (shortening - of_first) * lift : 0.0;
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
         tip.per_lift[a] = across - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
-        tip.per_roll_acceleration += (1.0 - of_first * f->lever_m[side]) * lift; /* it lifts the tip as well */
-        tip.per_measured -= of_first * lift;
+        tip.per_roll_acceleration += lift;
         tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
-    linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
-    /* half a step of each is in its rate, and with its sign turned in the first rank's */
+    /* half a step of each is in its rate */
     for (int64_t b = 0; b < f->ranks; b++) {
-        tip.per_acceleration[b] += step_s * (measured ? by_rates[0] - by_rates[b] : p);
-        tip.variance += squared(tip.per_acceleration[b]) * f->lift_acceleration_variance[b];
-        tip.per_acceleration[b] += 2.0 * quarter * (by_lifts[0] - by_lifts[b]); /* expected: a blow has more */
-        linear += tip.per_acceleration[b] * expected[b * EACH_RANK];
+        tip.per_acceleration[b] += step_s * ((measured ? 0.0 : p) - by_rates[b]);
+        by_sum += share.own[b] * tip.per_acceleration[b];
     }
+    for (int64_t b = 0; b < f->ranks; b++) {
+        const double *left_open = share.covariance + b * f->ranks, *whole = f->lift_acceleration_covariance + 2 * squares;
+        for (int64_t c = 0; c < f->ranks; c++) {
+            double product = (tip.per_acceleration[b] - by_sum) * (tip.per_acceleration[c] - by_sum);
+            tip.variance += product * left_open[c];
+            tip.blow_variance += product * whole[b * f->ranks + c];
+        }
+    }
+    for (int64_t b = 0; b < f->ranks; b++) {
+        tip.per_acceleration[b] -= 2.0 * quarter * by_lifts[b]; /* expected: a blow has more */
+        tip.per_measured += share.own[b] * tip.per_acceleration[b];
+        tip.per_other += share.other[b] * tip.per_acceleration[b];
+    }
+    for (int64_t b = 0; b < f->ranks; b++) {
+        tip.per_acceleration[b] -= tip.per_measured;
+        linear += tip.per_acceleration[b] * expected[b * EACH_RANK] - tip.per_other * expected_of_other[b * EACH_RANK];
+    }
+    /* the roll lifts the tips as well */
+    tip.per_roll_acceleration += tip.per_measured * f->lever_m[side] + tip.per_other * f->lever_m[1 - side];
+    linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
     /* the measured acceleration has what the tilt shows of all this */
     tip.inboard -= tip.per_measured * sign * slope * (tip.force + tip.inboard);
     tip.force += tip.inboard;
@@ -238,6 +286,7 @@ static void add_moving_tip(const run *f, int side, double *out)
         add_scaled(out, lift, gain * tip->per_lift[a], n);
         add_scaled(out, lift + 2 * n, gain * tip->per_rate[a], n);
         add_scaled(out, lift + 4 * n, gain * tip->per_acceleration[a], n);
+        add_scaled(out, rows + (MODES + a * EACH_RANK + 1 - side + 4) * n, -gain * tip->per_other, n);
     }
 }
 
@@ -273,8 +322,10 @@ static void linearise_rows(run *f, int64_t k)
             if (bias >= 0)
                 f->H[r * n + bias] = f->lateral_gain[2 * k + side];
             add_moving_tip(f, side, f->H + r * n);
-            if (f->vertical_bias_state[side] >= 0) /* the measured acceleration has it */
-                f->H[r * n + f->vertical_bias_state[side]] += f->tip[side].gain * f->tip[side].per_measured;
+            for (int tip = 0; tip < 2; tip++)
+                if (f->vertical_bias_state[tip] >= 0) /* the measured accelerations have it */
+                    f->H[r * n + f->vertical_bias_state[tip]] +=
+                        f->tip[side].gain * (tip == side ? f->tip[side].per_measured : f->tip[side].per_other);
         }
         if (r >= 0 && f->constants->common_bias_column) /* the slope seen is lateral over vertical force */
             for (int tip = 0; tip < 2; tip++)
@@ -329,8 +380,9 @@ static void add_acceleration_errors(const run *f, int64_t k, int side, double *o
 {
     const moving_tip *tip = &f->tip[side];
     int64_t parameters = f->h.width - 1;
-    const double *sensitivity = f->row_sensitivity + (k * ROWS + Z_LEFT + side) * parameters;
-    add_scaled(out + 1, sensitivity, -tip->gain * tip->per_measured, parameters);
+    const double *sensitivity = f->row_sensitivity + (k * ROWS + Z_LEFT) * parameters;
+    add_scaled(out + 1, sensitivity + side * parameters, -tip->gain * tip->per_measured, parameters);
+    add_scaled(out + 1, sensitivity + (1 - side) * parameters, -tip->gain * tip->per_other, parameters);
     for (int64_t j = 0; j < f->regressors; j++)
         if (f->regressor_rows[j] == Z_LEFT + side)
             out[f->regressor_columns[j]] -= tip->gain * tip->force;
@@ -404,8 +456,9 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
         bool lateral = Y_LEFT <= row && row < P_LEFT;
         f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
         if (lateral) /* what it shares with other rows is left out: linearised at a wrong state that did harm */
-            f->S[r][r] += (noise_inflation * f->tip[row - Y_LEFT].variance +
-                           squared(f->tip[row - Y_LEFT].per_measured) * motion[0]) *
+            f->S[r][r] += (f->tip[row - Y_LEFT].variance +
+                           (noise_inflation - 1.0) * f->tip[row - Y_LEFT].blow_variance +
+                           squared(f->tip[row - Y_LEFT].per_measured + f->tip[row - Y_LEFT].per_other) * motion[0]) *
                           squared(gain[row - Y_LEFT]);
         if (row < M_LEFT)
             f->S[r][r] += noise_inflation * f->model->aliasing_variance * f->aliasing_noise[2 * k + row];
@@ -699,7 +752,8 @@ static bool read_model(const model_record *record, run *f)
     f->load_cross_cov = reals(record->load_cross_cov, 2, &good);
     f->load_noise_in_rows = reals(record->load_noise_in_rows, 2, &good);
     f->linearisation_rows = reals(record->linearisation_rows, 2, &good);
-    f->lift_acceleration_variance = reals(record->lift_acceleration_variance, 1, &good);
+    f->lift_acceleration_share = reals(record->lift_acceleration_share, 2, &good);
+    f->lift_acceleration_covariance = reals(record->lift_acceleration_covariance, 3, &good);
     f->motion_covariance = reals(record->motion_covariance, 2, &good);
     f->entries = extent(record->value, 0);
     f->linearised_rows = extent(record->linearisation_rows, 0);
@@ -710,7 +764,8 @@ static bool read_model(const model_record *record, run *f)
            has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
            extent(record->linearisation_rows, 1) == n + 1 &&
            f->linearised_rows == MODES + EACH_RANK * f->ranks + f->slope_factors &&
-           extent(record->lift_acceleration_variance, 0) == f->ranks &&
+           has_shape(record->lift_acceleration_share, 3, f->ranks, -1) &&
+           has_shape(record->lift_acceleration_covariance, 3, f->ranks, f->ranks) &&
            has_shape(record->motion_covariance, n, n, -1) && record->transition_index < f->h.transitions;
 }
 

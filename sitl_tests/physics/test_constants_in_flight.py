@@ -7,12 +7,21 @@ from __future__ import annotations
 
 import pytest
 
+from companion.core.pipeline import start, step
+from companion.params.settings import Settings
+from companion.records import Tick
+from companion.sim.flight.flight import build_flight
+from companion.sim.flight.gust import GustKind
+from companion.sim.flight.offline import HOST_EPOCH_NS
+from tools.bench.slow import in_order
+from tools.bench.world_constants import constants
 from tools.bench.world_flight import fly
 from tools.bench.world_rows import CampaignRow
 
 pytestmark = pytest.mark.slow
 
 CALM, STRONG = 203, 214  # flights whose gusts bend the tips by 3 and by 22 mm rms
+WHITE = 9  # flight whose white gust bends them by 2 mm
 TIPS = tuple(f"{tip}.{error}" for tip in ("left", "right") for error in ("kz", "mx", "mz"))
 A_FEW_CLIPPED, MANY_CLIPPED = 731, 718  # flights in `rough` whose tips reach 16 g in 0.2 and 17 % of their samples
 JUDGED = ("trim", "bend_per_g", "slope.symmetric", *TIPS)
@@ -33,6 +42,20 @@ def test_what_a_flight_teaches_of_its_constants_is_within_its_sigmas(number: int
     assert {"trim", "bend_per_g", "left.kz"} <= judged.keys()
     over = {name: (judged[name][0] - judged[name][2]) / judged[name][1] for name in JUDGED if name in judged}
     assert max(abs(value) for value in over.values()) < 4.0, over
+
+
+def test_a_white_gust_is_no_misalignment_of_the_tips() -> None:
+    """Five sigmas; the second mode's share of each step's load, left to the first, gave 16 of trim and 8 of ``mx``."""
+    row = CampaignRow("ideal", "nadir-2m", "6-axis")
+    flight = build_flight(row.belief(), row.seed(WHITE), plan=row.plan(), gust=GustKind.WHITE)
+    state = start(flight.airframe, Settings())
+    for record in in_order(flight, []):
+        state, _ = step(state, record)
+        if isinstance(record, Tick) and record.now_host_ns >= HOST_EPOCH_NS + 16_000_000_000:
+            break
+    judged = constants(state.tracker, flight.airframe, flight.real)
+    over = {name: (estimate - true) / sigma for name, (estimate, sigma, true) in judged.items() if sigma > 0.0}
+    assert max(abs(value) for name, value in over.items() if name in (*JUDGED, "shortening")) < 5.0, over
 
 
 @pytest.mark.long

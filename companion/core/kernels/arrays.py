@@ -195,8 +195,12 @@ class DiscreteModel(NamedTuple):
         Variance of a vertical mean, on average, by edges that cut samples, (m/s^2)^2.
     moments_beside_gyro : bool
         Whether first moments are used even where the tip has a gyro.
-    lift_acceleration_variance : (r,) float64
-        Variance, by the load inside the step, of the mean acceleration of a tip's lift by each rank of modes.
+    lift_acceleration_share : (3, r) float64
+        Share of each rank of modes in what a tip's mean acceleration, measured as the sum of all ranks, is beyond the
+        expected one: where this tip alone is measured; where both are, in this tip's, and in the other's.
+    lift_acceleration_covariance : (3, r, r) float64
+        Covariance of the ranks' accelerations by the load inside the step where both tips are measured, this one
+        alone, or none.
     motion_covariance : (n, n) float64
         Added to the state's where the root is struck: modes and loads are as uncertain as those of an unknown gust.
     """
@@ -217,7 +221,8 @@ class DiscreteModel(NamedTuple):
     linearisation_rows: Floats
     aliasing_variance: float
     moments_beside_gyro: bool
-    lift_acceleration_variance: Floats
+    lift_acceleration_share: Floats
+    lift_acceleration_covariance: Floats
     motion_covariance: Floats
 
 

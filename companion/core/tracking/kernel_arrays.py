@@ -32,6 +32,7 @@ def kernel_model(
     for _, q, _, sign in layout.slope_factors:
         for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
             linearisation_rows += [-sign[side] * middle[q : q + 1], -sense_of_rotation * sign[side] * rate[q : q + 1]]
+    fraction, left_open = _rank_shares(layout, model)
     row, col = (np.ascontiguousarray(index) for index in np.nonzero(transition))
     return DiscreteModel(
         transition=transition,
@@ -50,9 +51,46 @@ def kernel_model(
         linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
         aliasing_variance=model.aliasing_variance,
         moments_beside_gyro=model.moments_beside_gyro,
-        lift_acceleration_variance=np.array([rate[1] @ model.noise @ rate[1] for _, rate in lifts]) / model.step_s**2,
+        lift_acceleration_share=fraction,
+        lift_acceleration_covariance=left_open,
         motion_covariance=model.motion_covariance,
     )
+
+
+def _rank_shares(layout: StateLayout, model: DiscreteWingModel) -> tuple[Floats, Floats]:
+    """Shares (3, r) and covariances (3, r, r) of the ranks' accelerations: see ``DiscreteModel``.
+
+    Tips that are both measured tell the families' sums apart, as half of their sum and of their difference.
+    """
+    by_family = np.zeros((2, layout.ranks, layout.ranks))
+    for family, covariance in zip(layout.families, by_family, strict=True):
+        rates = [v for _, v in family.pairs]
+        covariance[: len(rates), : len(rates)] = model.noise[np.ix_(rates, rates)] / model.step_s**2
+    alone, left_open = given_sum(by_family.sum(axis=0))
+    (symmetric, open_symmetric), (antisymmetric, open_antisymmetric) = map(given_sum, by_family)
+    fraction = np.stack([alone, 0.5 * (symmetric + antisymmetric), 0.5 * (symmetric - antisymmetric)])
+    return fraction, np.stack([open_symmetric + open_antisymmetric, left_open, by_family.sum(axis=0)])
+
+
+def given_sum(covariance: Floats) -> tuple[Floats, Floats]:
+    """Regression of jointly Gaussian terms on their sum.
+
+    Parameters
+    ----------
+    covariance : (r, r) float64
+        Of the terms.
+
+    Returns
+    -------
+    fraction : (r,) float64
+        Part of a deviation of the sum that each term is expected to have; they add up to one.
+    covariance : (r, r) float64
+        What the sum leaves open.
+    """
+    with_sum = covariance.sum(axis=1)
+    total = float(with_sum.sum())
+    fraction = with_sum / total if total > 0.0 else np.eye(len(covariance))[0]
+    return fraction, covariance - np.outer(fraction, with_sum)
 
 
 def kernel_constants(

@@ -236,9 +236,10 @@ def _linearise(
         if const.shortening_column:
             residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard
         H[Y_LEFT + side] += tip.row
-        if (bias := int(const.vertical_bias_state[side])) >= 0:
-            H[Y_LEFT + side, bias] += tip.by_acceleration
-        residual_columns[Y_LEFT + side, 1:] -= tip.by_acceleration * epochs.sensitivity[k, Z_LEFT + side]
+        for at, by_acceleration in zip((side, 1 - side), tip.by_acceleration, strict=True):
+            if (bias := int(const.vertical_bias_state[at])) >= 0:
+                H[Y_LEFT + side, bias] += by_acceleration
+            residual_columns[Y_LEFT + side, 1:] -= by_acceleration * epochs.sensitivity[k, Z_LEFT + at]
         residual_columns[Y_LEFT + side, const.regressor_columns[const.regressor_rows == Z_LEFT + side]] -= tip.by_force
     for side in (0, 1) if const.common_bias_column else ():
         if epochs.present[k, Y_LEFT + side]:
@@ -279,10 +280,11 @@ class _MovingTip(NamedTuple):
     rest: float
     inboard: float
     variance_mps2_2: float
+    blow_variance_mps2_2: float
     per_measured: float
     lean: float
     expected_mps2: float
-    by_acceleration: float
+    by_acceleration: Floats
     by_force: float
 
 
@@ -299,34 +301,32 @@ def _moving_tip(
     p, p_dot = float(linearised[4]), float(linearised[5])
     K = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
     slope = float(linearised[side])
-    tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
-    measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
-    measured += _turn_squared(epochs, k, p) * float(lift.sum())
     turning = p_dot - float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
-    shortening = const.shortening_pm[side]
+    shortening, step_s = const.shortening_pm[side], const.step_s
     expected = 2.0 * p * rate.sum() + turning * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
-    if epochs.present[k, Z_LEFT + side]:
-        accel = np.concatenate([[measured - accel[1:].sum()], accel[1:]])
-    inside_mps = -const.step_s * float(epochs.rows[k, M_LEFT + side])
-    rate = rate + 0.5 * const.step_s * accel
-    rate[0] -= inside_mps
-    inside = inside_mps * K[:, 0]
-    quarter_s2 = 0.25 * const.step_s**2
-    mean_lift = lift + quarter_s2 * accel
-    mean_lift[0] -= 0.5 * const.step_s * inside_mps
-    by_lift = K @ accel
+    of_this, of_other, covariance = _rank_shares(model, epochs.present[k, Z_LEFT : Z_LEFT + 2], side)
+    beyond = [_beyond_expected(const, model, epochs, k, tip, state) for tip in (side, 1 - side)]
+    accel = accel + of_this * beyond[0] + of_other * beyond[1]
+    inside_mps = -step_s * (of_this * epochs.rows[k, M_LEFT + side] + of_other * epochs.rows[k, M_LEFT + 1 - side])
+    rate = rate + 0.5 * step_s * accel - inside_mps
+    inside = K @ inside_mps
+    quarter_s2 = 0.25 * step_s**2
+    mean_lift = lift + quarter_s2 * accel - 0.5 * step_s * inside_mps
+    by_lift, by_rate = K @ accel, K @ rate
     along = mean_lift @ K @ accel + rate @ K @ rate + rate @ inside
-    sign, per_measured = 1.0 - 2.0 * side, -float(lift @ K[:, 0])
+    half_a_step = 0.0 if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
+    per_accel = step_s * (half_a_step - by_rate) - lift @ K
+    apart = per_accel - of_this @ per_accel
+    variance, blow_variance = (float(apart @ C @ apart) for C in (covariance, model.lift_acceleration_covariance[2]))
+    per_accel = per_accel - 2.0 * quarter_s2 * by_lift
+    sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
     along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    by_rate = K @ rate
-    half_a_step = by_rate[0] - by_rate if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
-    per_accel = const.step_s * half_a_step - lift @ (K - K[:, :1])
-    variance = float(per_accel**2 @ model.lift_acceleration_variance)
-    per_accel = per_accel + 2.0 * quarter_s2 * (by_lift[0] - by_lift)
     row = (turning - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
-    row = row + per_accel @ accel_rows + 2.0 * rate.sum() * p_row
-    row = row + lift @ (1.0 - K[:, 0] * float(const.lever_m[side])) * a_row  # the roll lifts the tip as well
+    row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
+    row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
+    by_roll = per_measured * float(const.lever_m[side]) + per_other * float(const.lever_m[1 - side])
+    row = row + (lift.sum() + by_roll) * a_row  # the roll lifts the tips as well
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
     turned = 0.5 * slope**2 * (force + sign * float(epochs.lateral_mps2[k, side]))
     lean = math.tan(read) - gain * (force + turned)
@@ -337,12 +337,35 @@ def _moving_tip(
         math.atan(lean) - read + gain * float(row @ state),
         -gain * along,
         variance,
-        per_measured,
+        blow_variance,
+        per_measured + per_other,
         predicted,
         expected,
-        gain * per_measured,
+        gain * np.array([per_measured, per_other]),
         gain * force,
     )
+
+
+def _rank_shares(model: DiscreteModel, measured: Bools, side: int) -> tuple[Floats, Floats, Floats]:
+    """Shares (r,) of the ranks in what this tip and the other show beyond the expected; the covariance left (r, r)."""
+    alone, of_this, of_other = model.lift_acceleration_share
+    if not measured[side]:
+        return 0.0 * alone, 0.0 * alone, model.lift_acceleration_covariance[2]
+    if not measured[1 - side]:
+        return alone, 0.0 * alone, model.lift_acceleration_covariance[1]
+    return of_this, of_other, model.lift_acceleration_covariance[0]
+
+
+def _beyond_expected(
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats
+) -> float:
+    """Excess of the measured sum of all ranks' lift accelerations of a tip over the expected one."""
+    linearised = model.linearisation_rows @ state
+    lift, _, accel = linearised[6 + side : 6 + 6 * const.shortening_pm.shape[1]].reshape(-1)[::2].reshape(-1, 3).T
+    slope, p, p_dot = float(linearised[side]), float(linearised[4]), float(linearised[5])
+    tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
+    measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
+    return measured + _turn_squared(epochs, k, p) * float(lift.sum()) - float(accel.sum())
 
 
 def _select_rows(model: DiscreteModel, epochs: Epochs, k: int) -> Ints:
@@ -364,7 +387,7 @@ def _measurement_noise(
         epochs.root_motion_variance[k],
     )
     tips = [_moving_tip(const, model, epochs, k, side, state) for side in (0, 1)]
-    moving = noise_inflation * np.array([tip.variance_mps2_2 for tip in tips])
+    moving = np.array([tip.variance_mps2_2 + (noise_inflation - 1.0) * tip.blow_variance_mps2_2 for tip in tips])
     moving += np.array([tip.per_measured for tip in tips]) ** 2 * root_motion_variance[0]
     variance[Y_LEFT:P_LEFT] = (variance[Y_LEFT:P_LEFT] + moving) * gain**2
     variance[Z_LEFT:M_LEFT] += noise_inflation * model.aliasing_variance * epochs.aliasing_noise[k]
