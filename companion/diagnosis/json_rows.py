@@ -1,4 +1,4 @@
-"""Rows of the documented JSON that every kind of diagnosis shares (companion/diagnosis/README.md)."""
+"""Rows of the documented JSON that every kind of diagnosis shares (companion/diagnosis/JSON.md)."""
 
 from __future__ import annotations
 

@@ -40,3 +40,13 @@ def test_an_effect_s_name_stands_in_one_file_only() -> None:
     for name in catalogue():
         files = [path.name for path in OWN_FILES.rglob("*.py") if any(text == name for _, text in strings(path))]
         assert len(files) == 1, (name, files)
+
+
+def test_the_page_of_effects_has_each_with_its_parameters_units_and_priors() -> None:
+    page = (PACKAGE / "diagnosis" / "flights" / "EFFECTS.md").read_text(encoding="utf-8")
+    catalogued = page.split("## Forms of an effect")[0]
+    rows = {row.split("`")[1]: row for row in catalogued.splitlines() if row.startswith("| `")}
+    assert set(rows) == set(catalogue())
+    for name, kind in catalogue().items():
+        declared = (f"`{p.name}` {p.sigma:g} {p.unit}".rstrip() for p in kind.parameters())
+        assert [entry for entry in declared if entry not in rows[name]] == []

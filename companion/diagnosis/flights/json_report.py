@@ -1,4 +1,4 @@
-"""A diagnosis as plain data: the documented JSON (config/README.md), which the HTML report also draws from."""
+"""A diagnosis of flights as plain data (companion/diagnosis/JSON.md), from which the HTML report draws too."""
 
 from __future__ import annotations
 

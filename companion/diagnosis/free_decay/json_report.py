@@ -1,4 +1,4 @@
-"""The verdict on free decays as plain data, in the layout of every diagnosis (companion/diagnosis/README.md)."""
+"""The verdict on free decays as plain data, in the layout of every diagnosis (companion/diagnosis/JSON.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict on self-excited vibration as plain data (companion/diagnosis/README.md)."""
+"""The verdict on self-excited vibration as plain data (companion/diagnosis/JSON.md)."""
 
 from __future__ import annotations
 
