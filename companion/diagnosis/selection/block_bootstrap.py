@@ -6,9 +6,9 @@ import numpy as np
 
 from companion.records import Floats
 
-_DRAWS = 1000  # which tell a sigma to 2 % (choice)
+_DRAWS = 1000  # of the blocks: a sigma is then known to 2 % (choice)
 _SEED = 7  # convention: any fixed number
-_WITHIN = (2.5, 97.5)  # convention: per cent: the middle 95
+_WITHIN = (2.5, 97.5)  # convention: percentiles that bound a 95 % interval
 Interval = tuple[float, float, float]
 """Estimate, and the ends of its 95 % interval."""
 
@@ -20,7 +20,7 @@ def sum_with_interval(values: Floats) -> Interval:
 
 
 def share_gone(before: Floats, after: Floats) -> Interval:
-    """Share of a sum of squares over blocks (b,) that is gone, with its interval; 0 of nothing."""
+    """Relative decrease of a sum of squares over blocks (b,), with its interval; 0 where the sum before is 0."""
     first, second = _resampled(before), _resampled(after)
     some = first > 0.0
     if not some.any():

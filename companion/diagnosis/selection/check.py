@@ -25,5 +25,5 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """True if it may be chance."""
+        """True if the statistic lies within its limit."""
         return abs(self.z) < self.limit

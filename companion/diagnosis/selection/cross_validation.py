@@ -21,7 +21,7 @@ from companion.records import Floats
 
 
 class HeldOut:
-    """A model on blocks that it was not fitted to."""
+    """Predictions of a model for blocks that it was not fitted to."""
 
     def __init__(self, blocks: Sequence[Prediction]) -> None:
         self.blocks = tuple(blocks)
@@ -38,7 +38,7 @@ class HeldOut:
 
     @property
     def share_of_signal(self) -> float:
-        """Error over the signal's own rms; above 1 it is worse than foretelling nothing."""
+        """Error over the signal's own rms; above 1 it is worse than predicting 0."""
         signal = sum(block.squared_signal for block in self.blocks)
         return float(np.sqrt(self.squared_error.sum() / max(signal, 1e-300)))
 
@@ -58,15 +58,15 @@ class HeldOut:
         return {name: sum_with_interval(values) for name, values in table.items()}
 
     def gone(self, before: HeldOut) -> Interval:
-        """Share of the squared error of another model that is gone."""
+        """Relative decrease of the squared error against another model, with its 95 % interval."""
         return share_gone(before.squared_error, self.squared_error)
 
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """Two models on blocks that were not fitted.
+    """Predictions of two models for blocks that they were not fitted to.
 
-    ``believed`` says how much likelier the believed parameters are by their priors with the terms than without, nat.
+    ``believed`` is the log prior of the nuisances with the terms, less that without them, nat.
     """
 
     before: HeldOut
@@ -80,14 +80,14 @@ class CrossValidation:
 
     @property
     def predicts(self) -> bool:
-        """Whether anything was held out of which an error can be told."""
+        """Whether held-out blocks hold numbers whose error of prediction is known."""
         return any(block.count for block in self.before.blocks)
 
     @property
     def improves(self) -> bool:
-        """Whether the total log score is better, beliefs included.
+        """Whether the total log score, with the change of the nuisances' log prior added, is better.
 
-        A believed parameter that has gone far beyond its prior foretells as well as the effect for which it stands.
+        A nuisance far beyond its prior predicts as well as the effect for which it stands.
         """
         return self.log_score["total"][0] + self.believed > 0.0
 
@@ -97,7 +97,7 @@ def hold_out(
     fits: Sequence[Fit[TermT, State]],
     progress: Callable[[float], None] = lambda _ratio: None,
 ) -> list[HeldOut]:
-    """Every fit on blocks that it was not fitted to."""
+    """Predictions of every fit for all blocks, each from the fit repeated without that block."""
     predictions: list[list[Prediction]] = [[] for _ in fits]
     folds = recordings.folds()
     for i, fold in enumerate(folds):

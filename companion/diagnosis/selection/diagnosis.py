@@ -19,8 +19,8 @@ from companion.diagnosis.selection.score_tests import Screening, TermT
 class Diagnosis(Generic[TermT, State]):
     """The outcome, with the fits it rests on.
 
-    ``causes`` is empty unless the verdict is explained; ``nearest_causes`` is what an unexplained recording comes
-    nearest to, which is no name. ``stages`` are the fits on the way to ``final``, the null first.
+    ``causes`` is empty unless the verdict is explained. ``nearest_causes`` are the accepted terms of an unexplained
+    recording, which are not named as causes. ``stages`` are the fits on the way to ``final``, the null first.
     """
 
     verdict: DiagnosisVerdict
@@ -87,10 +87,10 @@ def diagnose(
 
 
 def _base_of_gain(recordings: Recordings[TermT, State], path: SelectionPath[TermT, State]) -> Fit[TermT, State]:
-    """The fit over which a path has its gain: that of the belief, with impulses where others stand beside them.
+    """The fit against which the gain of a path is measured: the null, with impulses if the path has them beside others.
 
-    No block foretells another's impulses. A belief without them takes them for a rougher flight, in which those of a
-    held-out block surprise it less than a model that knows the flight to be calm: what stands beside them would lose.
+    No block predicts another's impulses. A model without them explains them by a stronger gust, so that those of a
+    held-out block cost it less than a model with the true, weaker gust: terms beside the impulses would seem to lose.
     """
     null = path.stages[0]
     transients = tuple(term for term in path.fitted.terms if not recordings.foretells(term))

@@ -1,8 +1,8 @@
 """Most probable parameters of any likelihood: Fisher scoring with priors, and Laplace's approximation of the evidence.
 
 A model of recordings offers its parameters with their priors, its log likelihood, and its scores (gradient and Fisher
-information). With prior N(c, diag(s^2)), g and J of likelihood and prior together, a step is (J + d diag(s^-2))^-1 g;
-d grows until the posterior does (Levenberg). At the maximum log evidence = log posterior - sum log s - log det J / 2.
+information). With prior N(c, diag(s^2)), and g and J those of the posterior, a step is (J + d diag(s^-2))^-1 g; d grows
+until the posterior rises (Levenberg). At the maximum log evidence = log posterior - sum log s - log det J / 2.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from companion.records import Floats
 
 _ENOUGH = 0.02  # nats gained by a step, below which it is the last (choice)
-_NEGLIGIBLE = 0.1 * _ENOUGH  # predicted by a step, below which it is not made: 0.06 sigma at most (derived)
+_NEGLIGIBLE = 0.1 * _ENOUGH  # nats predicted by a step, below which it is not made: 0.06 sigma at most (derived)
 _AS_PREDICTED, _SLIGHT = 0.3, 2.0
-"""Derivatives change little where a step gains this share of what they predict, or where that is few nats (choice)."""
-_NEARLY = 0.5  # nats predicted by a step that none follows, below which the top is reached (choice)
+"""Derivatives are used again if a step gains what they predict within this ratio, or if that is fewer nats (choice)."""
+_NEARLY = 0.5  # nats still predicted where no step rises: with less the maximum is reached (choice)
 _TRIES = 9  # of one step, each more damped than the last (choice)
 _DAMPED_TRIES = 2  # then the step is shortened as well (choice)
-# chosen: times a step: a shorter stretch gains nothing, a longer one trusts too much
+# chosen: factors on a step: below the first it gains nothing, beyond the second the parabola is not trusted
 _LEAST_LONGER, _LONGEST = 1.2, 3.0
-# numerical: of Levenberg: first damping, factors of it, and where none is left
+# numerical: Levenberg's first damping, factors by which it grows and falls, and the value below which it is 0
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
 _FARTHEST = 3.0  # chosen: prior sigmas in one step: no step leaves what is believed possible
 State = TypeVar("State")
@@ -41,7 +41,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Scores(Generic[State]):
-    """Log likelihood at a vector (p,), its gradient (p,), Fisher information (p, p), and what the model keeps of it."""
+    """Log likelihood at a vector (p,), its gradient (p,), Fisher information (p, p), and the model's state there."""
 
     log_likelihood: float
     gradient: Floats
@@ -60,12 +60,12 @@ class LikelihoodModel(Protocol[State]):
         """Log likelihood, gradient and information at a vector (p,)."""
 
     def log_likelihood(self, values: Floats, near: State) -> float:
-        """Log likelihood at a vector (p,) near one whose scores are known, which may lend what is dear to compute.
+        """Log likelihood at a vector (p,) near one whose scores are known; ``near`` may lend what is slow to compute.
 
         Raises
         ------
         ValueError, FloatingPointError, LinAlgError
-            Beyond what is physical.
+            The values are not physical.
         """
 
 
@@ -91,9 +91,9 @@ def maximise(
 ) -> Maximum[State]:
     """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps.
 
-    ``neighbour_scores`` gives scores with the derivatives at a neighbouring vector, which cost little: they serve as
-    long as the posterior rises as they predict. The maximum is judged with exact ones, unless ``values_alone`` are
-    wanted. ``begun`` are such scores of the start itself.
+    ``neighbour_scores`` gives scores with the derivatives of a neighbouring vector, which cost little. They are used as
+    long as the posterior rises as they predict. The maximum is judged with exact scores, unless only the values are
+    wanted (``values_alone``). ``begun`` are inexact scores at the start.
     """
     prior, approximate = NormalPrior(model.parameters), neighbour_scores or (lambda at, _state: model.scores(at))
     values, scores, exact, converged, damping = start.copy(), begun or model.scores(start), begun is None, False, 0.0
@@ -153,9 +153,9 @@ def _predicted_gain(prior: NormalPrior, values: Floats, scores: Scores[State]) -
 def _climb(
     model: LikelihoodModel[State], prior: NormalPrior, values: Floats, scores: Scores[State], damping: float
 ) -> tuple[Floats, float, float] | None:
-    """One step up the posterior: where to, by how much, and the damping there; None if nothing grows.
+    """One step up the posterior: new values (p,), gain in nat, and the damping there; None if no step rises.
 
-    What the data hardly tell (a coherence near one) is held back by its prior, and the rest moves on.
+    Damping in units of the priors holds back parameters that the data hardly determine (a coherence near one).
     """
     gradient, information = prior.added(values, scores)
     height = scores.log_likelihood + prior.log_density(values)
@@ -178,9 +178,9 @@ def _climb(
 
 
 def _longer(slope: float, gained: float) -> float:
-    """Times a step at which a parabola has its top that begins with a slope and has ``gained`` after the step.
+    """Factor on a step that leads to the top of the parabola with this initial slope and this gain after the step.
 
-    Expected information may be twice what the data show of a coherence or a level: whole steps then go half the way.
+    Fisher information may be twice the curvature of the posterior (a coherence, a level): steps then go half the way.
     """
     bend = 2.0 * (slope - gained)
     return slope / bend if bend > slope / _LONGEST else _LONGEST
@@ -190,4 +190,4 @@ def _height(model: LikelihoodModel[State], prior: NormalPrior, values: Floats, n
     try:
         return model.log_likelihood(values, near) + prior.log_density(values)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
-        return -np.inf  # beyond what is physical
+        return -np.inf  # not physical

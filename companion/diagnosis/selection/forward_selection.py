@@ -27,14 +27,14 @@ _BEAM = 2  # chosen: models that go on side by side, a bound on the cost: the be
 _WITHIN = 25.0  # nats behind the best path: a further term will not make up for more (choice)
 _REFITTED = 5  # candidates a round, a bound on its cost
 _WORTH_A_REFIT_Z = 3.5  # sigmas of the score; below, no refit is tried (choice)
-_TOO_CLOSE = 2.0  # nat: odds of 7 to 1 (choice)
-_CONCEIVABLE = 6.0  # nat: odds of 400 to 1 (choice)
+_TOO_CLOSE = 2.0  # nat between two names, below which they are one group: odds of 7 to 1 (choice)
+_CONCEIVABLE = 6.0  # nat behind the best, up to which a name is possible: odds of 400 to 1 (choice)
 UNPREJUDICED = 5.0
-"""How much wider the priors of terms are where values are measured, and names not ranked."""
-_MORE_THAN_PROMISED = 2.0  # times the log odds of a score, a refit's at most: where a frequency moves far (choice)
-_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that (choice)
+"""Factor on the prior sigmas of terms where values are measured and names are not ranked (choice)."""
+_MORE_THAN_PROMISED = 2.0  # log odds of a refit over those of the score, at most: a frequency moves far (choice)
+_OUT_OF_REACH = 0.4  # of the leader's z: no refit makes up for less (choice)
 UNPHYSICAL = (ValueError, FloatingPointError, np.linalg.LinAlgError)
-"""Errors of a model at values beyond what is physical."""
+"""Errors of a model at values that are not physical."""
 
 _Names = frozenset[tuple[str, str]]
 
@@ -55,7 +55,7 @@ class ForwardSelection(Generic[TermT, State]):
         self._recordings, self._progress = recordings, progress
 
     def search(self, null: Fit[TermT, State], first: Screening[TermT], most: int) -> SelectionPath[TermT, State]:
-        """The path of at most ``most`` terms with the largest evidence, without terms that it can do without."""
+        """The path of at most ``most`` terms with the largest evidence, superfluous terms left out."""
         best: SelectionPath[TermT, State] = SelectionPath(null, (), (null,))
         beam, screenings = [best], [first]
         for step in range(most):
@@ -72,14 +72,14 @@ class ForwardSelection(Generic[TermT, State]):
         return self._unprejudiced(self._pruned(best))
 
     def _screened(self, beam: Sequence[SelectionPath[TermT, State]]) -> list[Screening[TermT]]:
-        """Screenings of the paths; none where the foremost leaves nothing: the others could at best draw level."""
+        """Screenings of the paths; none if the best has no certain candidate, as the other could at best equal it."""
         foremost = self._recordings.screen(beam[0].fitted, self._progress)
         if not any(candidate.z > CERTAIN_Z for candidate in _fresh(beam[0], foremost)):
             return []
         return [foremost, *(self._recordings.screen(path.fitted, self._progress) for path in beam[1:])]
 
     def _unprejudiced(self, path: SelectionPath[TermT, State]) -> SelectionPath[TermT, State]:
-        """The same causes at the values that the data alone would give them: priors rank, they measure nothing."""
+        """The same causes with values fitted under wide priors: priors rank causes, they measure nothing."""
         if not path.causes:
             return path
         self._progress("measure what was found", 0.0)
@@ -95,7 +95,7 @@ class ForwardSelection(Generic[TermT, State]):
         screening: Screening[TermT],
         grown: Sequence[SelectionPath[TermT, State]],
     ) -> list[SelectionPath[TermT, State]]:
-        """Children of a path; names to which another has ``grown`` are that one's, and are not fitted again."""
+        """Paths with one term more; names that the paths in ``grown`` have reached already are not fitted again."""
         enough = ENOUGH_MORE if path.causes else ENOUGH
         reached = {_names(child.fitted): child.fitted for child in grown}
         tried = self._refit(path, screening, reached, enough - _CONCEIVABLE)
@@ -115,7 +115,7 @@ class ForwardSelection(Generic[TermT, State]):
         most = max((fitted.log_evidence for _, fitted in started), default=0.0)
         for candidate, fitted in started:
             behind, factor = most - fitted.log_evidence, fitted.log_evidence - path.fitted.log_evidence
-            # one that is no name and like none need not be known to the last digit
+            # a fit that can be neither accepted nor alike to an accepted one need not converge
             if not fitted.converged and behind < _WITHIN and factor > hopeless and _names(fitted) not in reached:
                 fitted = self._recordings.fit(fitted.terms, fitted, quick=True)
             if not self._recordings.plausible(fitted):
@@ -132,7 +132,7 @@ class ForwardSelection(Generic[TermT, State]):
         screening: Screening[TermT],
         reached: Mapping[_Names, Fit[TermT, State]],
     ) -> list[tuple[Candidate[TermT], Fit[TermT, State]]]:
-        """Leading candidates with their first fits, but for those that can be neither a name nor like one."""
+        """Leading candidates with their first fits, if they can be accepted or alike to one that is."""
         fresh = _fresh(path, screening)
         if not fresh or fresh[0].z <= CERTAIN_Z:
             return []
@@ -185,8 +185,8 @@ class ForwardSelection(Generic[TermT, State]):
 def penalised_log_likelihood(log_count: float, fitted: Fit[TermT, State], null: Fit[TermT, State]) -> float:
     """Gain of a fit's terms over ``null`` by half a difference of BIC, with the trials paid for, nat.
 
-    How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
-    a name. What both have keeps its own.
+    Priors of the terms are left out, because a law without a name has no physical one. Parameters that both models have
+    keep theirs.
     """
     extra = len(fitted.values) - len(null.values)
     new = {place for block in fitted.blocks[len(null.blocks) :] for place in block}
@@ -242,9 +242,9 @@ def _foremost(paths: Sequence[SelectionPath[TermT, State]]) -> list[SelectionPat
 def _alike(
     best: _Refit[TermT, State], tried: Sequence[_Refit[TermT, State]], screening: Screening[TermT]
 ) -> tuple[str, ...]:
-    """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call.
+    """Names that this recording cannot tell from the best: their scores are one, or their evidence is too close.
 
-    So is what the recording itself says for either, where it is the prior of a strength that ranks the two.
+    Alike are also names whose penalised likelihoods are close, where only the priors of their strengths rank them.
     """
     key = best.candidate.name, best.candidate.term.channel
     row = [(candidate.name, candidate.term.channel) for candidate in screening.candidates].index(key)

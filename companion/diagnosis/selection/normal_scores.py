@@ -10,7 +10,7 @@ from scipy.stats import chi2, gamma, norm, t
 from companion.records import Floats
 
 _SMALLEST = -500_000.0  # exponent at which a normal quantile can still be computed (numerical)
-_STRAIGHT = 1e-3  # skewness that is none (numerical)
+_STRAIGHT = 1e-3  # skewness below which a law counts as symmetric (numerical)
 _SMALL = 0.5  # sigmas below which a tail is the normal one (choice)
 
 
@@ -28,9 +28,9 @@ def two_sided_log_tail(z: float) -> float:
 
 
 def normal_score_of_gamma(z: float, skewness: float) -> float:
-    """Equivalent of a standard normal of a sum of squares: few squares have a longer tail to one side (a gamma's).
+    """Standard normal equivalent of a sum of few squares, whose longer tail is that of a gamma law.
 
-    On the other side, where the tail is shorter, it is left as it is.
+    On the side of the shorter tail z is left as it is.
     """
     if z * skewness < _STRAIGHT:
         return z
@@ -40,9 +40,9 @@ def normal_score_of_gamma(z: float, skewness: float) -> float:
 
 
 def normal_score_of_products(z: float, bins: float) -> float:
-    """Equivalent of a standard normal of a sum over ``bins`` of products of two independent complex normals.
+    """Standard normal equivalent of a sum over ``bins`` of products of two independent complex normals.
 
-    Either part of such a product follows Laplace's law: of few, the sum has longer tails. By the saddle point
+    Real and imaginary part of such a product follow Laplace's law, so that few have longer tails. By the saddle point
     (Barndorff-Nielsen's r*, Biometrika 73 (1986) 307), with K(t) = -n log(1 - t^2/2n).
     """
     if abs(z) < _SMALL:
@@ -55,12 +55,12 @@ def normal_score_of_products(z: float, bins: float) -> float:
 
 
 def normal_score_of_student(z: float, freedom: int) -> float:
-    """Equivalent of a standard normal of a score over a scatter that so many free draws have told."""
+    """Standard normal equivalent of a score over a scatter estimated with this many degrees of freedom."""
     return math.copysign(normal_score(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
 def strength(real: float, drawn: Floats) -> float:
-    """Standard deviations from what is drawn by chance, (n,); of a skew statistic as many as its chance is worth."""
+    """Standard deviations of a statistic from values drawn by chance, (n,); a skew one by the tail of a gamma law."""
     spread = float(np.std(drawn))
     skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
     return normal_score_of_gamma(float(real - np.mean(drawn)) / spread, skewness)

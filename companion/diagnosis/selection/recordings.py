@@ -64,7 +64,7 @@ class Recordings(ABC, Generic[TermT, State]):
     """Recordings of one kind, with the terms that may explain them."""
 
     measures_nearest: ClassVar[bool] = True
-    """Whether terms are held against other laws and held-out blocks though tests have failed: no verdict needs it."""
+    """Whether terms meet rival laws and held-out blocks even where tests have failed, which no verdict needs."""
 
     @property
     @abstractmethod
@@ -84,7 +84,7 @@ class Recordings(ABC, Generic[TermT, State]):
         Raises
         ------
         ValueError, FloatingPointError, LinAlgError
-            Beyond what is physical.
+            The values are not physical.
         """
 
     @abstractmethod
@@ -106,7 +106,7 @@ class Recordings(ABC, Generic[TermT, State]):
         """Each fits a model again without some blocks, and predicts these."""
 
     def plausible(self, fitted: Fit[TermT, State]) -> bool:
-        """Whether the last term came out as something that it can be."""
+        """Whether the last term has values that are possible for it."""
         del fitted
         return True
 
@@ -125,12 +125,12 @@ class Recordings(ABC, Generic[TermT, State]):
         return ""
 
     def foretells(self, term: TermT) -> bool:
-        """Whether a block can foretell another's share of a term; none foretells another's impulses."""
+        """Whether a term fitted on some blocks predicts others; impulses of one block do not predict another's."""
         del term
         return True
 
 
 def no_correlation(candidates: Sequence[Candidate[TermT]]) -> Screening[TermT]:
-    """A screening by refits, which tells nothing of how candidates go together."""
+    """A screening by refits; correlations between candidates are not known, and count as 0."""
     apart = np.eye(len(candidates))
     return Screening(tuple(sorted(candidates, key=lambda entry: -entry.z)), apart, apart)

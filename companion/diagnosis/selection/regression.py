@@ -30,7 +30,7 @@ LIMIT = 5.0
 """Standard deviations beyond which a test is not chance (choice)."""
 _SCORING_STEPS = 60  # at most: noises begin far from their values (choice)
 _NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way (choice)
-_DRAWS = 400  # which tell a statistic's spread to 4 % (choice)
+_DRAWS = 400  # of the model: the spread of a statistic is then known to 4 % (choice)
 _SEED = 20250104  # convention: any fixed number
 _FEWEST = 8  # rows of a response that can be tested (choice)
 
@@ -150,7 +150,7 @@ class RegressionModel:
         return np.asarray((entry.values - self.predicted(values, response)) / self.noise(values, response))
 
     def log_density(self, values: Floats, response: int) -> Floats:
-        """Log density of each row of a response, (n,), for as much as it is independent of the others."""
+        """Log density of each row of a response times the ratio of independent rows, (n,)."""
         power = self.residual(values, response) ** 2
         log_normal = -0.5 * power - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
         return np.asarray(self.responses[response].independent_ratio * log_normal)
@@ -213,7 +213,7 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
         return self._climb(RegressionModel(self.responses, terms, wider), near)
 
     def screen(self, fitted: RegressionFit, progress: Progress) -> Screening[RegressionTerm]:
-        """Refit with every further term: of few rows a score at nothing is bounded, for the noise was fitted."""
+        """Refit with every further term: with few rows a score at 0 is bounded, as the noise was fitted."""
         progress("screen", 0.0)
         keys = {term.key for term in fitted.terms}
         return no_correlation([self._tried(fitted, term) for term in self._offered if term.key not in keys])

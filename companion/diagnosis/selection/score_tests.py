@@ -1,7 +1,7 @@
 """Score tests of terms at nothing: efficient scores with everything that was fitted projected out, no refit.
 
-The efficient score of a term is what remains of its gradient once every fitted parameter has had its say; its variance
-is the term's information less what these share. The correlation of two terms' efficient scores says whether this very
+The efficient score of a term is its gradient less what the fitted parameters explain of it. Its variance is the term's
+information less what it shares with theirs. The correlation of two terms' efficient scores says whether this very
 recording can tell them apart.
 """
 
@@ -60,11 +60,11 @@ class Candidate(Generic[TermT]):
     log_odds : float
         Approximate log Bayes factor.
     sigma : (d,)
-        Of each parameter, profiled.
+        Predicted standard deviation of each parameter, all others fitted.
     score, information : (d,), (d, d)
         Efficient, in units of the prior sigmas.
     direction : (d,)
-        Of the step that the score asks for, of unit length.
+        Unit vector of the step to the predicted maximum, in prior sigmas.
     """
 
     term: TermT
@@ -123,11 +123,11 @@ def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) 
 
 
 def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) -> Screening[TermT]:
-    """Candidates by strength; a term that was tried at several places or sides counts with its strongest, and pays.
+    """Candidates by strength; a term that was tried at several places or sides counts with the strongest of them.
 
     ``score`` (d,) and ``information`` (d, d) have the tested terms' parameters one after the other.
 
-    A tail that one place has by chance is N times as likely at the best of N places.
+    A tail that one place has by chance is N times as likely at the best of N places, which is paid for.
     """
     unit = np.concatenate([entry.sigmas for entry in tested]) if tested else np.zeros(0)
     score, information = score * unit, information * np.outer(unit, unit)
@@ -164,16 +164,16 @@ def _imitated(directions: Floats, information: Floats, block: slice) -> Floats:
 
 
 def _candidate(tested: Tested[TermT], score: Floats, information: Floats, log_trials: float) -> Candidate[TermT]:
-    """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
+    """Test the parameters that this recording informs about; an effect of one sign only is tested for that sign."""
     term, sigmas = tested.term, tested.sigmas
     values, vectors = np.linalg.eigh(information)
     telling = values > max(_BARELY * float(values[-1]), _BARELY)
     if not telling.any() or (tested.one_way and tested.side * score[0] < 0.0):
         return Candidate(term, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
     along = vectors[:, telling].T @ score
-    # with the prior: a change far beyond what is physical is not what explains
+    # with the prior, so that a strength far beyond what is physical counts less
     power = float(np.sum(along**2 / (values[telling] + 1.0)))
-    # directions that the prior already knows better count for nothing
+    # a direction with less than a tenth of the prior's information is no degree of freedom
     freedom = max(int(np.sum(values > 0.1)), 1)
     z = normal_score(min(float(chi2.logsf(power, freedom)) + log_trials, 0.0))
     odds = 0.5 * power - log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
