@@ -1,10 +1,10 @@
 """Samples that a range has cut, restored as what the recording's own spectra make likely beyond it.
 
-Of a cut sample only its side is known. A spline through its neighbours, which noise has pushed to just below the limit,
-is too smooth and too low: it looks like a nonlinear sensor beside the cut one. Instead the cut samples are drawn from
-their posterior (Gibbs): they are Gaussian like the rest, of the spectral matrix of all channels, and lie beyond the
-limit. Drawn and not expected, for an expectation has less power than what it stands for; and the spectra are learnt on
-the way (stochastic approximation of EM: Delyon, Lavielle and Moulines, Ann. Statist. 27 (1999) 94).
+Of a cut sample only its side of the limit is known. A spline through its neighbours, which noise has pushed to just
+below the limit, is too low: it looks like a nonlinear sensor. Cut samples are therefore drawn from their posterior
+(Gibbs): they lie beyond the limit, and are Gaussian like the rest, with the spectral matrix of all channels. They are
+drawn because an expectation has less power than the process. The spectra are learnt in the same sweeps (stochastic
+approximation of EM: Delyon, Lavielle and Moulines, Ann. Statist. 27 (1999) 94).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from companion.records import Floats
 
 _SEED = 20250103  # convention: any fixed number
 _SWEEPS = 160  # of the Gibbs sampler, a bound on its cost
-_RELEARNT, _LEARNT = 4, 0.3  # chosen: every so many sweeps, by that share: spectra follow, and do not swing
+_RELEARNT, _LEARNT = 4, 0.3  # chosen: sweeps between updates of the spectra, and share of the new estimate in each
 _SETTLED = 60  # sweeps; from then on the spectra are averaged (choice)
-_WHITE_RATIO, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample (choice)
-_BAND = 40  # chosen: bins that share one bound: few matrices, and a bound that is not far off
-_FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike (numerical)
-_WIDTH = 0.02  # of a frequency, to either side: what is smoothed over (choice)
-_FEWEST = 12  # chosen: bins to either side: a spectrum known to a fifth
+_WHITE_RATIO, _MOST = 0.8, 0.95  # of the lowest band: white part, which is drawn sample by sample (choice)
+_BAND = 40  # chosen: bins that share one bound on the white part
+_FAINTEST = 1e-9  # of the mean power: floor of a spectrum, where channels without noise are equal (numerical)
+_WIDTH = 0.02  # of a frequency: half-width of the smoothing of spectra (choice)
+_FEWEST = 12  # chosen: bins to either side at least: a spectrum is then known to a fifth
 
 
 def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floats:
@@ -65,8 +65,8 @@ def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floa
 class _Split:
     """Conditional spectrum of the clipped channels given the others, as a white part and the rest.
 
-    The larger the white part is, the fewer sweeps it takes; it is not larger than the spectrum allows anywhere. That
-    counts by bands: where chance alone makes a spectrum faint, it is lifted.
+    A larger white part needs fewer sweeps, but it may not exceed the spectrum anywhere. The bound is taken by bands. A
+    spectrum that chance makes lower than the white part is raised.
     """
 
     def __init__(self, spectra: Complexes, affected: list[int]) -> None:

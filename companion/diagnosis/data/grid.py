@@ -4,8 +4,8 @@ from __future__ import annotations
 
 TAPER = 0.05
 """Share of a recording over which each end fades in its spectra (choice)."""
-_FADES_S = 3.0  # convention: over two periods of the lowest frequency that is judged, 0.15 of some 5 Hz
-_MOST_FADED = 0.15  # of a short recording: its middle must be left (choice)
+_FADES_S = 3.0  # convention: two periods of the lowest frequency of the band, 0.15 of some 5 Hz
+_MOST_FADED = 0.15  # share of a short recording at either end, so that its middle is left (choice)
 
 
 def faded_share(duration_s: float) -> float:

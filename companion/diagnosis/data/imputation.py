@@ -5,9 +5,9 @@ given the others o are N(-P_mm^-1 P_mo x_o, P_mm^-1); with noise w of covariance
 
     P_mm x_m = -P_mo x_o + w_m
 
-is one draw of them, by conjugate gradients with S_mm as the preconditioner (every product is a transform). Drawn and
-not expected, for an expectation has less power than what it stands for. S is learnt from the filled recording, a few
-times.
+is one draw of them, by conjugate gradients with S_mm as the preconditioner (every product is a transform). They are
+drawn because an expectation has less power than the process. S is learnt from the filled recording and the gaps are
+drawn again, a few times.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from companion.diagnosis.spectral_matrices import Complexes, apply, cholesky, in
 from companion.records import Bools, Floats
 
 _SEED = 20261123  # convention: any fixed number
-_FAINTEST = 1e-9  # of all power: what a spectrum has at least (numerical)
+_FAINTEST = 1e-9  # of the mean power: floor of a spectrum (numerical)
 _ITERATIONS = 80  # of conjugate gradients, a bound on their cost
-_CLOSE = 1e-3  # of the right-hand side, in the preconditioner's measure (numerical)
-_FEWEST, _MOST = 3, 10  # chosen: times that S is learnt, least and most; the share missing decides between
+_CLOSE = 1e-3  # residual over right-hand side, in the norm of the preconditioner, that ends it (numerical)
+_FEWEST, _MOST = 3, 10  # chosen: least and most times that S is learnt; the share of missing samples decides
 _LEFT = 0.01  # of the power missing at first that may be missing at last (choice)
 
 
@@ -34,7 +34,7 @@ def impute_missing(values: Floats, missing: Bools) -> Floats:
     values : (c, m)
         All channels on an even grid, the missing samples guessed.
     missing : (c, m)
-        Which.
+        Which samples these are.
 
     Returns
     -------

@@ -16,7 +16,7 @@ from companion.diagnosis.data.grid import faded_share, fast_length
 from companion.diagnosis.data.recoil import RecoilDelay
 from companion.records import Bools, Floats, Ints, Side
 
-_FEWEST_EXPOSURES = 5  # chosen: fewer say nothing that a likelihood should weigh
+_FEWEST_EXPOSURES = 5  # chosen: fewer exposures of a part are not used
 _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 
 
@@ -24,7 +24,7 @@ _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 class RawStream:
     """One station's samples as recorded: ``t_s`` (n,) as stamped, specific force (n,) in its own FRD axes.
 
-    ``force_y_mps2`` where a tip's lateral axis was recorded: it tells how far the wing turns the vertical one.
+    ``force_y_mps2`` is a tip's lateral axis where it was recorded. It shows how far the wing turns the vertical one.
     """
 
     t_s: Floats
@@ -108,7 +108,8 @@ class Observations:
     load_factor : (m,)
         1 everywhere without a root sensor.
     bending_factor : (m,) or None
-        ``load_factor`` as far as it bends the wing from outside; None where that is all of it.
+        Slow part of ``load_factor``, which bends the wing from outside (:func:`.rigid_motion.bending_load`); None where
+        that is all of it.
     covariates : dict of str to (m,)
         About their means, in units of their rms over all recordings that are judged together; ``units`` has both.
     toe : ToeData or None
@@ -123,14 +124,14 @@ class Observations:
     sample_defects : tuple of SampleDefect
         What the tips' samples themselves show; cut peaks have been restored.
     used_ratio : float
-        How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
+        Share of its recording that this part is: what is known of the whole (its mean) counts here with this weight.
     recorded_ratio : float
-        How much of ``up_mps2`` was recorded; the rest lay in gaps and was drawn.
+        Share of ``up_mps2`` that was recorded; the rest lay in gaps and was drawn.
     notes : tuple of str
     start_s : float
         Where this part begins in its recording.
     recoil : RecoilDelay or None
-        Delay of the tips' readings that the fuselage's recoil tells, of all of the grid.
+        Delay of the tips' readings by the fuselage's recoil, over the whole grid.
     """
 
     rate_hz: float

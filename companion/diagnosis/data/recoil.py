@@ -1,12 +1,12 @@
-"""Delay of the tips' readings against the root's, told by how the fuselage recoils from a wing that bends.
+"""Delay of the tips' readings against the root's, from the recoil of the fuselage against a bending wing.
 
 In a symmetric mode a free fuselage moves against the tips, in proportion and at once: the root's sensor is a clock for
-the tips' sensors and their filters, and none for the cameras. What the gust lifts the fuselage by directly goes with
-the mode's load, a = -omega^2 R load, and so with 1/(omega^2 R) of what the tips show:
+the tips' sensors and their filters, and none for the cameras. The gust also lifts the fuselage directly, in proportion
+to the load of the mode. A tip's acceleration is -omega^2 R load, so this part is -1/(omega^2 R) times that of the tips:
 
     root(f) = [-rho + kappa (1 - (f_0/f)^2 - 2j zeta f_0/f)] tips(f) e^(j omega tau) + noise
 
-rho, kappa and tau are fitted by least squares about the first mode.
+rho, kappa and tau (s) are fitted by least squares about the first mode f_0 (Hz), with its believed damping ratio zeta.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from companion.params.airframe import Airframe
 from companion.records import Floats, Side
 
 _BAND = 0.2  # of the first mode's frequency, to either side: most of the mode's power, and little of any other (choice)
-# of the root's power there; less, and something else moves either (a mode beside the first one; choice)
+# least share of the root's power that the fit explains; with less another mode takes part (choice)
 _COHERENT = 0.95
-_PASSES = 3  # chosen: of the linear fit in the delay, which is small: it settles at once
-_WINDOW_SHARE = 1.5  # bins of a Hann window that share information, as a ratio of all to independent ones (derived)
-_FEWEST_BINS = 12  # for three real numbers and their error (choice)
+_PASSES = 3  # chosen: linear fits in the delay, each about the last: a small delay converges at once
+_WINDOW_SHARE = 1.5  # equivalent noise bandwidth of a Hann window, bins (derived)
+_FEWEST_BINS = 12  # in the band, for three real numbers and their error (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +38,9 @@ class RecoilDelay:
 
 
 def recoil_delay(tips_mps2: Floats, root_mps2: Floats, rate_hz: float, airframe: Airframe) -> RecoilDelay | None:
-    """Measure it on tips (m, 2) and root (m,), whose own filter is undone; None where no recoil shows.
+    """Measure it on tips (m, 2) and root (m,), whose own filter is undone, m/s^2; None where no recoil shows.
 
-    A damping that is not the believed one turns what the gust lifts directly, and counts as an error.
+    An error of the believed damping turns the phase of the directly lifted part, and adds to the sigma.
     """
     mode = airframe.wing.symmetric
     first_hz, zeta = mode.frequency_hz.value, mode.damping.value

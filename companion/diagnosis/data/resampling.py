@@ -44,10 +44,10 @@ from companion.records import Bools, Floats, Side
 from companion.units import GRAVITY_MPS2
 
 _FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
-_GAP_MARGIN_S = 1.0  # about a bridged gap, at most: there the smoothed wing is not known (choice)
-_LEAST_PER_PERIOD = 4.0  # samples a period of the first mode: what lies about its peak is to be seen (choice)
+_GAP_MARGIN_S = 1.0  # at most, about a filled gap, where the smoothed motion is not known (choice)
+_LEAST_PER_PERIOD = 4.0  # samples per period of the first mode, so that the band about its peak is seen (choice)
 _INPUT = "input_"
-_CROWDED = 0.2  # of the usual step: stamps so close together carry no slope (choice)
+_CROWDED = 0.2  # of the usual step: a spline through stamps nearer than that would swing (choice)
 
 
 def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observations]:

@@ -15,19 +15,19 @@ from companion.records import Floats, Side
 
 _Channels = Mapping[str, tuple[Floats, Floats]]
 
-_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone (choice)
-_LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn (choice)
-# of the first mode: above, the fuselage recoils from the wing that bends (choice)
+_HARDLY = 0.02  # power gain of a filter, below which it is not undone (choice)
+_LEAST_FORCE_MPS2 = 3.0  # vertical force below which the lateral one does not show a turn (choice)
+# of the first mode's frequency: full share up to the first, none from the second on, where recoil begins (choice)
 _BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7
-# of power in common, and of the tips' power, where a roll is theirs or does no harm (choice)
+# least coherence of roll and tips; least share of the tips' power from which incoherent roll is left in (choice)
 _COHERENT, _SLIGHT = 0.5, 0.25
 _UPPER_END = 0.7  # of a gyro's band, from which it shows its noise (choice)
-# manoeuvres are slower, and the noise of a gyro's derivative grows with frequency (choice)
+# body rates: full share up to the first, none from the second on: manoeuvres are slower, gyro noise is not (choice)
 _WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0
 
 
 def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
-    """Values (m,) without a sensor's 2nd-order Butterworth, where something came through it; a corner of 0 is none."""
+    """Values (m,) without a sensor's 2nd-order Butterworth, as far as it lets pass anything; a corner of 0 is none."""
     if not corner_hz:
         return values
     passed = Butterworth2(corner_hz).response(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)))
@@ -37,9 +37,9 @@ def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
 def roll_share(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, tips: Floats) -> Floats:
     """Share of the gyro's roll that is taken out of the tips (m, c), at each frequency of a transform, (m // 2 + 1,).
 
-    A fuselage that is not heavy rolls against a wing that bends antisymmetrically, and that is part of every such mode:
-    it is taken out like a manoeuvre's, as far as it stands above the gyro's noise (Wiener's gain, in bands of 1 Hz).
-    What the gyro shows beyond a quarter of the tips' power, without coherence with them, is vibration of its mount.
+    A light fuselage rolls against a wing that bends antisymmetrically, and that is part of every such mode. This roll
+    is taken out like a manoeuvre's, as far as it stands above the gyro's noise (Wiener's gain, in bands of 1 Hz). Roll
+    that is not coherent with the tips and exceeds a quarter of their power is vibration of the gyro's mount. It stays.
     """
     f_hz = np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz))
     manoeuvre = _fade(f_hz, _WHOLE_HZ, _NOTHING_HZ)
@@ -85,10 +85,10 @@ def _gyro_response(f_hz: Floats, airframe: Airframe) -> Complexes:
 
 
 def bending_load(load_factor: Floats, rate_hz: float, first_hz: float) -> Floats:
-    """Keep of a load factor, or of any motion of the rigid aircraft, what bends the wing from outside, (m, ...).
+    """Slow part of a load factor, or of any motion of the rigid aircraft, which bends the wing from outside, (m, ...).
 
-    Near the wing's first mode and above, the root shows how the fuselage recoils: that is the wing's doing, and its
-    frequencies are those of the aircraft as it flies, recoil included.
+    Near the first mode and above, the root shows the recoil of the fuselage from the wing. That is no cause of the
+    wing's motion; modes are those of the aircraft as it flies, recoil included.
     """
     return _faded(load_factor, rate_hz, _BENT_WHOLE * first_hz, _BENT_NOTHING * first_hz)
 
@@ -135,8 +135,8 @@ def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats
 def tip_axes_corrected(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
     """Vertical specific force, in the aircraft's axes, of a tip that the wing has turned about x, (m,).
 
-    Bending makes no lateral force: what the tip reads of ``y`` beside the rigid aircraft's tells its turn,
-    ``tan A = (y - y_rigid) / z``; in between where it is weightless.
+    Bending makes no lateral force. The turn A follows from what the tip reads of ``y`` beyond the rigid aircraft's,
+    ``tan A = (y - y_rigid) / z``, and is interpolated where the tip is nearly weightless.
     """
     tells = np.abs(force_z) > _LEAST_FORCE_MPS2
     if not tells.any():

@@ -10,7 +10,7 @@ import numpy as np
 from companion.records import Floats
 
 SHORTEST_S = 8.0
-"""What all segments together must hold (choice)."""
+"""Recorded time that all segments together must hold (choice)."""
 REQUIREMENT = (
     f"at least {SHORTEST_S:g} s in all, in stretches of 2 s or more (better one), with gaps of at most 1 s inside"
 )
@@ -18,7 +18,7 @@ REQUIREMENT = (
 _LENGTHS_S = (8.0, 4.0, 2.0)  # shorter segments are used only where the longer ones do not make up enough (choice)
 _LEAST_GAP_S, _LEAST_STEPS = 0.02, 5.0  # a step longer than both is a gap; shorter ones are interpolated (choice)
 _LONGEST_FILLED_S = 1.0  # as long as a mode of 5 Hz and 3 % damping remembers (derived)
-_LEAST_SHARE = 0.6  # chosen: of a segment that was recorded: what is filled in must be the smaller part
+_LEAST_SHARE = 0.6  # chosen: least share of a segment that was recorded, so that the smaller part is filled in
 
 Span = tuple[float, float]
 
@@ -33,7 +33,7 @@ class Segment:
 
     @property
     def recorded_s(self) -> float:
-        """Time in which every stream is there."""
+        """Time in which every stream was recorded."""
         return self.stop_s - self.start_s - sum(stop - start for start, stop in self.gaps)
 
 
@@ -47,7 +47,7 @@ def gaps_of(t_s: Floats) -> list[Span]:
 
 
 def segments_of(streams: Sequence[Floats]) -> list[Segment]:
-    """Segments in which all streams' times (m,) are there but for short gaps; none where they do not make up 8 s."""
+    """Segments in which all streams with times (m,) have short gaps only; none where they hold less than 8 s."""
     if any(len(t_s) < 2 for t_s in streams):
         return []
     start_s, stop_s = max(float(t_s[0]) for t_s in streams), min(float(t_s[-1]) for t_s in streams)

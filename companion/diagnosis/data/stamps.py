@@ -15,12 +15,12 @@ import numpy as np
 from companion.core.wing.samples import evenly_stamped, smoothed_stamps
 from companion.records import Bools, Floats, Ints
 
-_FEW = 0.005  # of all steps: so rare a disorder is taken out by sorting (choice)
-_FAR_S, _FAR = 0.05, 10.0  # a step back beyond both that time and so many usual steps is no wandering (choice)
-_MEAN_OF = 65  # chosen: stamps of the running mean: many beside jitter, few beside a clock drift
-_COARSE = 8  # chosen: of the running mean, times as many stamps as share a value
-_HOLE = 10.0  # usual steps: no mean is taken across (choice)
-_ANEW_S, _ANEW = 2.0, 10  # so far back for so many rows is no late row but a new beginning (choice)
+_FEW = 0.005  # share of steps that go back or repeat, below which sorting is enough (choice)
+_FAR_S, _FAR = 0.05, 10.0  # s, usual steps: a step back beyond both is no wandering stamp (choice)
+_MEAN_OF = 65  # chosen: stamps of the running mean: enough to average jitter, too few for a clock to drift
+_COARSE = 8  # chosen: width of the running mean over the number of stamps that share a value, at least
+_HOLE = 10.0  # usual steps: no mean is taken across a longer one (choice)
+_ANEW_S, _ANEW = 2.0, 10  # s, rows: a jump back so far for so many rows is a new beginning of time (choice)
 
 
 @dataclass(frozen=True, slots=True)

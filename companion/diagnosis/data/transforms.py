@@ -9,8 +9,8 @@ from companion.diagnosis.data.grid import TAPER, faded_share
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
-_FINER = 4  # chosen: zero padding that lets a short interpolation follow
-_CACHED = 4  # sets of instants: of either clock, ahead and behind (choice)
+_FINER = 4  # chosen: zero padding, after which nine points interpolate
+_CACHED = 4  # sets of instants whose weights are kept (choice)
 _POINTS = np.arange(-4.0, 5.0)
 
 
@@ -34,10 +34,10 @@ class Transforms:
     def periodic(self, values: Floats) -> Floats:
         """Channels (c, m) whose two ends fade into one another.
 
-        A transform takes what it is given for one period. Where its ends do not meet, a wing's ringing leaks to low
-        frequencies, and twice integrated it outweighs the deflection that is there: on a wing with 0.9 % of damping
-        the smoothed deflection was wrong by three sigmas 6 s from either end. One second of fading is too short: it
-        makes the bend of a manoeuvre a motion in the band.
+        A transform takes its data for one period. Where the ends do not meet, the step leaks to low frequencies, and
+        twice integrated it exceeds the true deflection: on a wing with 0.9 % of damping the smoothed deflection was
+        wrong by three sigmas 6 s from either end. A fade of one second is too short: it makes the bend of a manoeuvre
+        a motion in the band.
         """
         ends = 0.5 * (values[:, :1] + values[:, -1:])
         return np.asarray(ends + (values - ends) * self.fading)
@@ -53,8 +53,8 @@ class Transforms:
     def at(self, spectrum: Complexes, at_s: Floats) -> Floats:
         """A band-limited signal (f,) at any instants: four times finer by zero padding, then nine-point Lagrange.
 
-        The points lie evenly about the instant, so that what a small shift changes is the slope and nothing else. A
-        warp moves some instants from one nearest point to the next: twice finer, that outweighed the slope.
+        The points lie evenly about the instant, so that a small shift changes the signal by its slope alone. A warp
+        moves some instants from one nearest point to the next; on a grid twice finer only, that exceeded the slope.
         """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
         rows, weights = self._places(at_s)
