@@ -1,7 +1,7 @@
-"""Nuisance parameters: deviations of the airframe from its file within its sigmas, with which no model is wrong.
+"""Nuisance parameters: deviations of the airframe from its file within the file's sigmas.
 
-Each is a deviation from the belief, 0 before the data speak, with the prior sigma of the airframe file. Positive
-quantities deviate in their logarithm. Everything that a named effect claims is judged with these free.
+Each is a deviation from the belief with prior mean 0 and the prior sigma of the airframe file. Positive quantities
+deviate in their logarithm. Named effects are judged with all nuisances free.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from companion.diagnosis.model.linear_spectra import ADDED
 from companion.params.airframe import FAMILIES, Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Side
 
-_INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
-_UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells (choice)
-_UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted (choice)
-_LOW_CORNER = 0.125  # of a sensor's rate: a low-pass below shapes what the sensor adds ahead of it (choice)
-_CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error (choice)
-_COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1 (choice)
-_MATCH_SIGMA_PX = 0.3  # chosen: noise of one match in hard texture; a pair's median knows it better
+_INPUT_MPS2 = 10.0  # prior sigma of the modal load by a measured input at its rms (choice)
+_UNKNOWN_LEVEL = 1.5  # prior sigma of a load's logarithm, of which no airframe file knows (choice)
+_UNKNOWN_NOISE = 3.0  # of the logarithm of a sensor's noise, which depends on its mounting (choice)
+_LOW_CORNER = 0.125  # of a sensor's rate: below it a low-pass shapes the noise ahead of it (choice)
+_CORNER_SIGMA = 1.0  # of the logarithm of a gust's corner, which differs from day to day (choice)
+_COHERENCE = 1.2  # prior sigma of x in coherence = tanh(sinh x), which covers -1 to 1 (choice)
+_MATCH_SIGMA_PX = 0.3  # chosen: noise of one match in hard texture; the median of a pair has less
 _RECORDING_MARK = "#"
 _GAIN = "gain:"
 _CHANGING = (".level", ".noise", ".noise_ahead", ".bias_mps2", "match")
@@ -49,7 +49,7 @@ class Belief:
     airframe: Airframe
     nuisances: tuple[Nuisance, ...]
     terms: tuple[EffectTerm, ...] = ()
-    """Effects that the airframe file has in force already."""
+    """Effects that are in force in the airframe file already."""
 
     @property
     def sigmas(self) -> Floats:
@@ -66,12 +66,12 @@ class Belief:
         return deviations_by_key
 
     def concerns(self, index: int, recording: int) -> bool:
-        """Whether a nuisance has a say in a recording."""
+        """Whether a nuisance belongs to a recording, or to all."""
         _, _, owner = self.nuisances[index].key.partition(_RECORDING_MARK)
         return not owner or int(owner) == recording
 
     def wing(self, deviation: dict[str, float]) -> Wing:
-        """The wing with its deviations put in."""
+        """The airframe's wing with these deviations."""
         wing = self.airframe.wing.with_modes(lambda name, mode: _moved(mode, name, deviation))
         trim = Uncertain(wing.trim_bend_m.value + deviation.get("trim_bend_m", 0.0), wing.trim_bend_m.sigma)
         per_g = Uncertain(wing.bend_per_g_m.value + deviation.get("bend_per_g_m", 0.0), wing.bend_per_g_m.sigma)
@@ -92,10 +92,10 @@ def believe(
     inputs: Mapping[str, float] = MappingProxyType({}),
     has_root: bool = False,
 ) -> Belief:
-    """List the nuisances of an airframe that these recordings can have an opinion about.
+    """List the nuisances of an airframe that these recordings inform about.
 
     What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording. ``inputs`` are the
-    measured ones with their rms: what they do to the wing per unit is free.
+    measured ones with their rms: the modal load per unit of each is free.
     """
     modes = airframe.wing.modes
     nuisances = [entry for name, mode in modes.items() for entry in _of_mode(mode, name, with_range)]

@@ -49,7 +49,7 @@ class Motion(Protocol):
 
     @property
     def residual(self) -> Complexes:
-        """Tapered spectrum once all that is not stationary Gaussian is out, (c, b)."""
+        """Tapered spectrum of the data without forced motion and sensors' nonlinearity, (c, b)."""
 
     @property
     def force_score(self) -> Complexes:
@@ -57,7 +57,7 @@ class Motion(Protocol):
 
     @property
     def forced_mps2(self) -> Complexes | None:
-        """Spectrum of what forces make of the accelerations, (c, f); None where there are none."""
+        """Spectrum of the accelerations by known forces, (c, f); None where there are none."""
 
     @property
     def in_time(self) -> tuple[Floats, Floats]:
@@ -78,7 +78,7 @@ class Expectation:
     toe_variance : (k,)
         Of the matching, and of exposures that wander.
     rest_residual, rest_variance : (c,) or (c + 1,)
-        The sensors at rest: what is left of the mean, and its variance; and so of the delay that the recoil tells.
+        Residual and variance of the sensors' means at rest, m/s^2, and of the delay by the recoil (last entry), s.
     """
 
     motion: Motion
@@ -100,7 +100,7 @@ class Expectation:
 
     @property
     def residual(self) -> Complexes:
-        """Spectrum of the data once all that is not stationary Gaussian is out, (c, b)."""
+        """Tapered spectrum of the data without forced motion and sensors' nonlinearity, (c, b)."""
         return self.motion.residual
 
     @property

@@ -1,9 +1,8 @@
-"""The one model in the frequency domain: what it expects of a recording, and how far the recording is from that.
+"""Likelihood of one recording of a flight in the frequency domain.
 
-The tips' accelerations are a stationary process with spectral matrix S(f) (Whittle); forces that depend on state or
-time and sensors that are not straight are taken back out of the data first. The toe at each exposure is judged given
-the accelerations: its mean through the Wiener smoother of the same model, its covariance through the posterior's
-spectrum.
+The tips' accelerations are a stationary process with spectral matrix S(f) (Whittle). Forces that depend on state or
+time, and the nonlinearity of sensors, are taken out of the data first. The toe at each exposure is judged given the
+accelerations: its mean by the Wiener smoother of the same model, its covariance by the spectrum of the posterior.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ _NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off (ch
 
 
 class FlightModel:
-    """A belief and a recording, ready to be asked about any parameters and any effects.
+    """Likelihood of one recording under a belief, for any parameters and any effects.
 
-    ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly. With
-    ``toe_alone`` its accelerations tell how the wing moves and are not judged themselves.
+    ``recording`` is its number in the keys of the belief's nuisances, where several are fitted jointly. With
+    ``toe_alone`` its accelerations serve to smooth the motion, and only the toe is judged.
     """
 
     def __init__(
@@ -86,7 +85,7 @@ class FlightModel:
         terms : sequence of EffectTerm
             Named effects in force.
         near : Expectation, optional
-            Of a neighbouring model, which lends its ``toe_posterior``, the dear part, and all that is the same.
+            Of a neighbouring model. Its ``toe_posterior``, which is slow to compute, and all that is equal are reused.
         small_step : bool
             Whether ``near`` is one step of a difference quotient away: forces then act on its motion.
         """
@@ -140,7 +139,7 @@ class FlightModel:
         return self.transforms.tapered(values)[:, self._low : self._low + len(self.band_hz)]
 
     def draw(self, expectation: Expectation, rng: np.random.Generator) -> Floats:
-        """Accelerations as a fitted model makes them by chance, (c, m)."""
+        """Accelerations drawn from a fitted model, (c, m), m/s^2."""
         shape = expectation.residual.shape
         white = np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
         spectrum = np.zeros((shape[0], len(self.transforms.f_hz)), dtype=np.complex128)
@@ -204,7 +203,7 @@ class FlightModel:
         near: Expectation | None,
         small_step: bool,
     ) -> Motion:
-        """Motion under a model; half of all parameters are of the cameras alone and leave it as it is nearby."""
+        """Motion under a model; the neighbour's where parameters differ that concern the cameras alone."""
         inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
         bends = self.observations.has_root  # then the bend per g moves the wing, and not the ranges alone
         key = (inner, tuple(value for name, value in deviation.items() if not is_range_only(name, bends)))
@@ -225,7 +224,7 @@ class FlightModel:
         )
 
     def _leaked_mps2(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Floats | None:
-        """Rigid aircraft's motion that the sensors' errors leave in the accelerations, (c, m), m/s^2."""
+        """Motion of the rigid aircraft that stays in the accelerations by the sensors' errors, (c, m), m/s^2."""
         if self._rigid is None:
             return None
         heave, turning = self._rigid

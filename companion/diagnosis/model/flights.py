@@ -52,7 +52,7 @@ class FlightsLikelihood:
         return values
 
     def log_likelihood(self, values: Floats, near: FlightState) -> float:
-        """Log likelihood of values (p,), with the posterior covariance of the toe as it is nearby."""
+        """Log likelihood of values (p,), with the posterior covariance of the toe of ``near``."""
         return log_likelihood(self._models, self._expected(values, near))
 
     def scores(self, values: Floats) -> Scores[FlightState]:
@@ -62,11 +62,11 @@ class FlightsLikelihood:
         return self._scored(expectations, tuple(tuple(entry) for entry in columns))
 
     def neighbour_scores(self, values: Floats, near: FlightState) -> Scores[FlightState]:
-        """The same for values (p,) by derivatives of a neighbour, and the posterior covariance of the toe there."""
+        """The same for values (p,), with derivatives and the posterior covariance of the toe of ``near``."""
         return self._scored(self._expected(values, near), near.columns)
 
     def scores_beside(self, values: Floats, fitted: FlightFit) -> Scores[FlightState]:
-        """The same for values (p,) by a fit's derivatives for what this has too: another term's move them little."""
+        """The same for values (p,), with the derivatives of a fit for the parameters that it has as well."""
         places = dict(zip([term.key for term in fitted.terms], fitted.blocks, strict=True))
         lent: list[int | None] = list(range(len(self._models[0].belief.nuisances)))
         for term in self._terms:
@@ -111,9 +111,8 @@ def fit(
     """Find the most probable parameters (p,) in at most ``rounds`` scoring steps.
 
     Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief; a start that is a fit
-    of these recordings lends its derivatives too. The priors of the effects are made ``wider`` times as wide: for
-    values and intervals that are the data's own. Where the ``values_alone`` are wanted, evidence and covariance are
-    rough.
+    of these recordings lends its derivatives too. Prior sigmas of the effects' strengths are multiplied by ``wider``,
+    so that values and intervals are those of the data. With ``values_alone`` evidence and covariance are rough.
     """
     likelihood = FlightsLikelihood(models, terms, wider)
     sizes = [len(term.values) for term in terms]
@@ -123,7 +122,7 @@ def fit(
     begun_at = likelihood.start(start.values if isinstance(start, Fit) else start)
     begun = None if near is None else likelihood.scores_beside(begun_at, near)
     fitted = climb(likelihood, terms, blocks, begun_at, rounds, likelihood.neighbour_scores, values_alone, begun)
-    # a normal prior of which nature has one half only is twice as dense there
+    # half a normal prior (an effect of one sign) is twice as dense there
     halves = sum(term.effect.one_way for term in terms)
     evidence = fitted.log_evidence + halves * math.log(2.0)
     return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms), log_evidence=evidence)
@@ -153,7 +152,7 @@ def expect(
     terms: Sequence[EffectTerm],
     near: Sequence[Expectation] | None = None,
 ) -> tuple[Expectation, ...]:
-    """Hold a whole parameter vector (p,) against the recordings; ``near`` lends how well the toe is told."""
+    """Expectations of the recordings at a parameter vector (p,); ``near`` lends the posterior covariance of the toe."""
     belief = models[0].belief
     placed_terms = placed(belief, values, terms)
     lent = near if near else [None] * len(models)
@@ -176,7 +175,7 @@ def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple
 def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> tuple[Parameter, ...]:
     """Entries of the whole parameter vector: nuisances, then the parameters of each term.
 
-    Strengths have ``wider`` priors; where an effect is (an instant, a frequency) is no matter of how strong it is.
+    Prior sigmas of strengths are multiplied by ``wider``, those of parameters in ``scan`` (a yield, a frequency) not.
     """
     nuisances = [Parameter(entry.key, 0.0, entry.sigma) for entry in belief.nuisances]
     declared = [(entry, entry.name in type(term.effect).scan) for term in terms for entry in term.effect.parameters()]
@@ -204,7 +203,7 @@ def derivatives(
     columns: list[list[Column]] = [[] for _ in models]
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
-        # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
+        # the posterior covariance of the toe is taken as constant; the variance of its measurement is not
         noisy = keys[i].startswith("match") if owner is None else owner[0].adds_toe_variance
         for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
@@ -220,7 +219,7 @@ def derivatives(
 def _beside(
     model: FlightModel, expectation: Expectation, values: Floats, i: int, sigma: float, terms: Sequence[EffectTerm]
 ) -> tuple[Expectation, float]:
-    """An expectation with one parameter a little further on, or back where further on nothing is physical."""
+    """An expectation with one parameter a small step up, or down where a step up is not physical; and the step."""
     count = len(model.belief.nuisances)
     for step in (_STEP * sigma, -_STEP * sigma):
         perturbed = values.copy()

@@ -1,7 +1,7 @@
-"""Laws that nobody has named: forces over deflection, speed and time, sensors over acceleration and time, ranges over
-whatever they might follow.
+"""Laws without a name: forces of deflection, speed and time, sensors' laws of acceleration and time, and regressors
+of the measured toe.
 
-They are tested like named effects and compete with them, and are only ever described, never given as a cause.
+They are tested like named effects and compete with them. They are described, and never given as a cause.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class GenericBias(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GenericRollOff(Effect):
-    """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
+    """A gain that falls with the square of frequency at zero phase, on both sides alike or against each other."""
 
     group: ClassVar[Group] = Group.SENSING
     against: ClassVar[bool] = False
@@ -211,7 +211,7 @@ class GenericRollOff(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GenericClockDrift(Effect):
-    """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
+    """The delay of one side grows in time; it is 0 in the middle, because a constant delay is a nuisance already."""
 
     group: ClassVar[Group] = Group.SENSING
     station: ClassVar[Station] = Station.RIGHT
@@ -304,7 +304,7 @@ TOE = (
     "rate of a further mode",
 )
 PLAY = {"little play of the mounts": 0.15, "play of the mounts": 0.3, "much play of the mounts": 0.6}
-"""Deflection that a mount's play takes up, in units of its rms."""
+"""Half-width of a mount's play, in units of the deflection's rms."""
 BOTH_LATE = "both sides late"
 SPREAD = ("deflection", "its rate", "inverse distance", "time")
 

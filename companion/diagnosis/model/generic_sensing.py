@@ -1,4 +1,4 @@
-"""Laws of the sensors that nobody has named: a channel that leaks into the other, readings that are late."""
+"""Laws of the sensors without a name: a channel that leaks into the other, readings that are late."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class GenericPhase(Effect):
     slope_s: float = parameter("s", 0.005, "phase per angular frequency")
 
     def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
-        """Turn it where it is."""
+        """Delay the stations of this law."""
         return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station in type(self).stations else None
 
 
 @dataclass(frozen=True, slots=True)
 class GenericLag(Effect):
-    """Both sides follow late, and the less the faster it goes: a causal filter has no phase without a gain.
+    """Both sides pass one pole: late, and with a gain that falls with frequency, as a causal filter must.
 
-    To first order in the lag it is a delay, and what tells the two apart is of second order.
+    To first order in the lag it is a delay; the two differ in second order.
     """
 
     group: ClassVar[Group] = Group.SENSING

@@ -11,15 +11,15 @@ from companion.core.wing.effect import Effect, Group, ModalMotion, from_halves, 
 from companion.core.wing.effects.damping.hysteresis import stretch_along
 from companion.records import Floats
 
-_YIELDS = (0.25, 0.5, 1.0, 2.0)  # of the deflection's rms: from what slips all the time to what hardly does (choice)
+_YIELDS = (0.25, 0.5, 1.0, 2.0)  # of the deflection's rms: the first slips always, the last hardly (choice)
 
 
 @dataclass(frozen=True, slots=True)
 class GenericSlip(Effect):
-    """A share of the spring yields bit by bit: the further a half swings, the softer it is and the more is lost.
+    """Part of the spring yields gradually: with amplitude a half becomes softer and loses more energy.
 
-    Iwan's element: alike springs in parallel that slip at different deflections. No law of an instant has it, for
-    stiffness and damping change together.
+    Iwan's element: equal springs in parallel that slip at different deflections. Stiffness and damping change together,
+    so that no law without memory has it.
     """
 
     group: ClassVar[Group] = Group.STRUCTURE

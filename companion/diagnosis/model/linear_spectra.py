@@ -17,7 +17,7 @@ from companion.records import Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""
-_CACHED = 4  # receptances: of a model, of its two passes over forces, of a neighbour by one difference step (choice)
+_CACHED = 4  # receptances kept: of a model, its two passes over forces, a neighbour by a difference step (choice)
 _TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit (numerical)
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
@@ -29,13 +29,13 @@ class Linear:
     Attributes
     ----------
     receptance : (n, n, f), or (n, f) where no mode is coupled
-        Modal deflection per load.
+        Modal deflection per load, s^2.
     load : (n, n, f) or (n, f)
-        Two-sided load density.
+        Two-sided load density, (m/s^2)^2/Hz.
     sensing : (c, n, f)
-        Accelerometer channel per modal deflection.
+        Accelerometer channel per modal deflection, 1/s^2.
     noise : (c, c, f)
-        Two-sided density; what a root sensor adds is the same on both sides.
+        Two-sided density, (m/s^2)^2/Hz; the noise of a root sensor is the same on both sides.
     """
 
     receptance: Complexes
@@ -149,12 +149,12 @@ class Spectra:
         return load
 
     def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:
-        """Add the gust that modes of one symmetry share: what loads the first may load the next, in part or wholly."""
+        """Add the gust that modes of one symmetry share, in part or wholly."""
         for i in range(1, structure.count):
             slot = structure.slots[i]
             first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
             name = slot_name(slot) if i < len(self._level) else ADDED
-            # one gust may well load both: full coherence lies a few prior sigmas away, and not at infinity
+            # full coherence is possible: it lies a few prior sigmas away, and not at infinity
             shared = float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
             if i != first and shared:
                 load = full(load).copy()

@@ -19,7 +19,7 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cho
 from companion.records import Floats
 
 _PASSES = 2  # chosen: of smoothing and nonlinear correction in turn: a third moves little
-_FADED = 0.3  # of the motion: what has faded further is not made whole again, with its errors (choice)
+_FADED = 0.3  # least fade by which the smoothed motion is divided: its errors grow alike (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +43,12 @@ class _Forces:
 
 
 class SmoothedMotion:
-    """One model's view of the accelerations; what is dear is made when it is asked for, once.
+    """Accelerations and smoothed motion under one model; slow parts are computed once, when they are needed.
 
     ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
-    recorded, ``leaked_mps2`` (c, m) what the rigid aircraft leaves in the accelerations. Frequencies run from 0 to the
+    recorded, ``leaked_mps2`` (c, m) motion of the rigid aircraft in the accelerations. Frequencies run from 0 to the
     top of the band, which begins at index ``low``. With ``neighbour``, the model before one step of a difference
-    quotient, forces act on its motion: how the step changes the motion is of second order in them.
+    quotient, forces act on its motion: the change of motion by the step is of second order in them.
     """
 
     def __init__(
@@ -93,9 +93,9 @@ class SmoothedMotion:
         self.inverse = inverse(self.spectrum)
 
     def _linearise(self, linear_of: Callable[[Structure, Complexes | None], Linear]) -> None:
-        """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
+        """Add the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
-        A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
+        A second pass has the motion by the rest of the first: a wing that is softer one way sags with its amplitude.
         """
         for _ in range(_PASSES):
             smoother = self._smoother()
@@ -175,7 +175,7 @@ class SmoothedMotion:
 
     @property
     def forced_mps2(self) -> Complexes | None:
-        """Spectrum of what forces and measured loads make of the accelerations, (c, f); None where there are none."""
+        """Spectrum of the accelerations by forces and measured loads, (c, f); None where there are none."""
         return None if self._push is None else apply(self.linear.sensing, self._forced())
 
     def _modal(self, smoother: Complexes) -> Complexes:
@@ -190,7 +190,7 @@ class SmoothedMotion:
         return apply(smoother, self._transforms.spectrum(unforced)[:, : self._top])
 
     def _unforced_mps2(self) -> Floats:
-        """Accelerations without what nonlinear sensors, nonlinear forces and measured loads make of them, (c, m)."""
+        """Accelerations without sensors' nonlinearity and motion by forces and measured loads, (c, m)."""
         forced = self.forced_mps2
         return self._up_mps2 if forced is None else self._up_mps2 - self._transforms.in_time(forced)
 
@@ -212,7 +212,7 @@ class SmoothedMotion:
         return float(np.sqrt(2.0 * self._transforms.f_hz[1] * np.sum(np.maximum(density, 0.0))))
 
     def _smoothed(self, smoother: Complexes) -> tuple[Floats, Floats]:
-        """Smoothed modal deflection and speed, (n, m) each, made whole where they have faded."""
+        """Smoothed modal deflection (m) and speed (m/s), (n, m) each, divided by the fade at the ends."""
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]
         within, gain = self._within(smoother), 1.0 / np.maximum(self._transforms.fading, _FADED)
         deflection, speed = (gain * self._transforms.in_time(spectrum) for spectrum in (within, within * omega))

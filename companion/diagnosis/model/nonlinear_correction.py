@@ -1,9 +1,8 @@
 """Nonlinear sensors, and forces of state or time, by statistical linearisation.
 
-Both are split. The mean slope of a force's law acts as stiffness and damping; of a reading's law the geometric mean
-slope acts as a scale: it is what the law does to the volume of motions, which the spectrum's determinant stands for.
-What is left is taken out of the data. A law with memory has no slope of an instant; of it goes, band by band, what is
-correlated with the motion.
+Both are split. The mean slope of a force's law acts as stiffness and damping. The geometric mean slope of a reading's
+law acts as a scale, because ln det S then holds the Jacobian of the law. The rest is taken out of the data. A law with
+memory has no slope at an instant: band by band its part that is correlated with the motion acts as a linear filter.
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
-_USUAL_HZ = 5.0  # of a first mode, where nothing has a memory (choice)
+_USUAL_HZ = 5.0  # first mode if not given; it matters for laws with memory alone (choice)
 _BUMP = 1e-3  # of the standard deviation, for a difference quotient (numerical)
-_BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings (choice)
+_BUMP_OF_MOTION = 0.05  # of its standard deviation, for a difference quotient across a kink (choice)
 _NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
 """Gauss and Hermite's rule of four places, over a standard normal (by definition: Abramowitz and Stegun 25.10)."""
 _FINER = 8  # points a sample at which a short load is evaluated before it is cut to the band (choice)
-_SHARP = 0.03  # of the deflection's rms: what is left untold below this blurs nothing (choice)
+_SHARP = 0.03  # unknown deflection over its rms, below which laws are not averaged over it (choice)
 _INVERSIONS = 6  # Newton steps (numerical)
-_FLATTEST = 0.3  # slope of a sensor's law that can be inverted (choice)
+_FLATTEST = 0.3  # least slope of a sensor's law that is inverted (choice)
 _INVERTED = 1e-9  # residual at which Newton's method ends (numerical)
-_CACHE_SIZE = 4  # most parameters that a fit moves bend nothing (choice)
+_CACHE_SIZE = 4  # sets of effects whose result is kept: most parameters concern no nonlinear sensor (choice)
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
@@ -168,7 +167,7 @@ class SensorLineariser:
     def _blurred(
         self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float
     ) -> Floats:
-        """Forces (n, m) averaged over what is not told of either half's deflection (Gauss and Hermite's rule)."""
+        """Forces (n, m) averaged over the unknown part of either half's deflection (Gauss and Hermite's rule)."""
         if untold_m <= _SHARP * float(np.std(q_m[0])):
             return self._total(wing, terms, q_m, qdot_mps)
         blurred = np.zeros_like(q_m)
@@ -220,7 +219,7 @@ class SensorLineariser:
         """Part (n, m) of a force that no linear filter of the motion makes, band by band, and that filter (n, n, f).
 
         Bands are as wide as the first mode's frequency and lie about its multiples: wider than any resonance, for a
-        filter that follows one follows chance, and takes from the force what drives the mode there.
+        filter that follows one follows chance, and takes the part of the force that drives the mode there.
         """
         taper = self._transforms.taper
         spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
@@ -347,16 +346,16 @@ class _Fine:
                 break
             slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump
             force = np.where(gone, force, force - miss / np.maximum(slope, _FLATTEST))
-            # a characteristic that turns back is gone on with straight
+            # a characteristic that turns back is continued straight
             gone |= slope < _FLATTEST
         return np.asarray(force)
 
     def geometric_mean_gain(self, effect: Effect, station: Station, force: Floats) -> float:
         """Geometric mean of the characteristic's slope over a station's samples: what it is as a scale.
 
-        The logarithms of the slopes tell how straightening changes volumes. With their mean for a scale the likelihood
-        of a bent Gaussian is unbiased however much it is bent; with the arithmetic mean, which is the same for little,
-        strong bends come out a third too weak.
+        The mean logarithm of the slopes is the log Jacobian per sample. As a scale it makes the likelihood of a bent
+        Gaussian unbiased however much it is bent. With the arithmetic mean, which is equal to first order, strong bends
+        come out a third too weak.
         """
         bump = _BUMP * float(np.std(force)) * self._signs
         changed = self.sensed(effect, station, force + bump) - self.sensed(effect, station, force - bump)

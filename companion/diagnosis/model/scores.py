@@ -28,7 +28,7 @@ class ScoredRecording(Protocol):
     band_hz: Floats
 
     def certain_shifted(self, expectation: Expectation, shift_s: Floats) -> Complexes | None:
-        """Change by shifts in time (c, m) of what the channels show by no chance, in the band, (c, b)."""
+        """Change of the channels' deterministic part by shifts in time (c, m), in the band, (c, b)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Column:
     toe_variance: Floats | None = None
     rest: Floats | None = None
     shift_s: Floats | None = None
-    """How a unit of the parameter shifts the time that the channels show, (c, m)."""
+    """Shift in time of the channels by a unit of the parameter, (c, m), s."""
     warps: bool = False
-    """Whether the shift is undone in the samples, and no matter of their spectrum."""
+    """Whether the shift is undone in the samples, and does not change their spectrum."""
 
 
 def column(
@@ -121,13 +121,13 @@ def _add(
 def _add_warps(
     model: ScoredRecording, expectation: Expectation, columns: Sequence[Column], information: Floats
 ) -> None:
-    """Put the expected information of shifts in time where the products of their columns stand for it badly.
+    """Replace the information of shifts in time, where products of their columns are wrong, by its expected value.
 
     With S the spectral matrix, shifts of channels c and d by a and b are worth
-    2 weight omega^2 (S^-1_cd S_dc - [c = d]) times the mean of a b: only what both sides agree on shows a shift. A warp
-    of the samples is a change of the mean, a constant delay one of the spectrum; their columns have no product, but a
-    warp's constant part is a delay. What is late of the rigid aircraft's motion, and of what forces make of the wing's,
-    is no matter of chance: it stays. Three impulses tell a clock more than a minute of gust.
+    2 weight omega^2 (S^-1_cd S_dc - [c = d]) times the mean of a b: only motion that both sides share shows a shift. A
+    warp of the samples changes the mean, a constant delay the spectrum; their columns have no product, though a warp's
+    constant part is a delay. Products of the deterministic motion (the rigid aircraft, forced motion) stay: three
+    impulses inform about a clock more than a minute of gust.
     """
     shifts = [(i, entry.shift_s, entry.warps) for i, entry in enumerate(columns) if entry.shift_s is not None]
     if not any(warps for _, _, warps in shifts):

@@ -20,7 +20,7 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, prod
 from companion.records import Floats, Side
 
 _FINER = 8  # grid points a sample of the correlation function (choice)
-_FOLLOWED = 3  # chosen: modes: higher ones hardly turn a camera
+_FOLLOWED = 3  # chosen: modes of which regressors are made: higher ones hardly turn a camera
 
 
 class ToeModel:
@@ -72,7 +72,7 @@ class ToeModel:
         return residual, variance
 
     def _scattered(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:
-        """Rows whose rates tell the scatter of exposures that wander, (2, n, f).
+        """Slopes of either camera whose rates give the scatter of exposures that wander, (2, n, f).
 
         A motion at omega scatters by 1 - exp(-x) times its amplitude squared where it is fastest, x = (omega sigma)^2:
         x exp(-x / 2) to second order.
@@ -110,7 +110,7 @@ class ToeModel:
         return deflection, speed
 
     def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
-        """Covariance of the toe that the accelerations leave, (k, k), with a slow gust's mean over the recording."""
+        """Covariance of the toe that the accelerations leave, (k, k), rad^2; with a reference, that of its mean too."""
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
@@ -125,7 +125,7 @@ class ToeModel:
         return np.asarray(lags[self._lag] * (1.0 - self._beyond) + lags[self._lag + 1] * self._beyond)
 
     def _bending(self, motion: Motion, row: Complexes, late_s: float) -> Floats:
-        """Toe of the smoothed bending at the exposures; kept, for most camera parameters leave it as it is."""
+        """Toe of the smoothed bending at the exposures, (k,), rad; kept, as most camera parameters do not change it."""
         steady = row.shape[-1] == 1
         key = (row.tobytes(), late_s)
         if steady and self._cached is not None and self._cached[0] is motion and self._cached[1] == key:

@@ -1,4 +1,4 @@
-"""Regressors of the measured toe and of its variance, for laws that nobody has named."""
+"""Regressors of the measured toe and of its variance, for laws without a name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def toe_regressors(
     modal, rates : (n, k)
         Smoothed modes at the exposures.
     load_factor, expected_rad : (k,)
-        Of the wing, and of the model: how the axes diverge and where the point is, together.
+        Load factor of the wing, and the whole reading: B/Z of the reference plus the expected toe, rad.
     """
     q, rate = modal[0], rates[0]
     x, nearness = across(toe.t_s), toe.inverse_m - toe.inverse_m.mean()
@@ -38,7 +38,7 @@ def toe_regressors(
 
 
 def of_unit_rms(values: Floats) -> Floats | None:
-    """A regressor (m,) by its rms; None where it is nothing."""
+    """A regressor (m,) over its rms; None where it is 0."""
     size = float(np.sqrt(np.mean(values**2)))
     return values / size if size > 1e-12 else None
 
@@ -54,6 +54,6 @@ def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[
 
 
 def taken_up(modal: Floats, which: str) -> Floats:
-    """Deflection that the play of the mounts keeps from the cameras along a motion (n, m), both halves' sum, (m,)."""
+    """Deflection that the play of the mounts takes up along a motion (n, m), sum of both halves, (m,), m."""
     deflection = np.ascontiguousarray(halves(modal))
     return np.asarray(stretch_along(deflection, PLAY[which] * float(np.std(deflection))).sum(0))
