@@ -1,8 +1,8 @@
-"""Does the model leave nothing but noise?
+"""Adequacy tests of a fitted model of flights: whether it leaves nothing but noise.
 
-Directions without a name are tested by efficient scores (:mod:`.lack_of_fit_tests`); what is no direction of the mean
-or the spectrum (outliers, unsteadiness, single lines, the size of range residuals) against recordings simulated from
-the model itself.
+Directions without a name are tested by efficient scores (:mod:`.lack_of_fit_tests`). Statistics that are no direction
+of mean or spectrum (outliers, unsteadiness, single lines, size of range residuals) are compared with draws of the
+model.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from companion.records import Floats
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-_SIMULATED = 400  # draws, which tell a statistic's spread to 4 % (choice)
+_SIMULATED = 400  # draws: the spread of a statistic is then known to 4 % (choice)
 _BLOCKS = 12  # of a recording, for a change of its noise (choice)
-_NARROW = 50  # chosen: bands of a spectrum: a missed line stands out of one
-_FEWEST = 10  # chosen: bins of a band, for a mean whose law is known
+_NARROW = 50  # chosen: bands of a spectrum, narrow enough that a missed line stands out
+_FEWEST = 10  # chosen: least bins of a band, for a mean whose law is known
 _MANY = 24  # bins from which a mean is near normal (choice)
 _FEWEST_EXPOSURES = 20  # for a test of the measured toe
-_AROUND = 1.35  # chosen: times the first frequencies, either way: the first modes and their sides
-_SWINGS = 3  # harmonics of the recording's length that a slow change shows in (choice)
+_AROUND = 1.35  # chosen: factor on the first frequencies that bounds the band about the first modes
+_SWINGS = 3  # periods per recording, at most, of the slow changes that are tested (choice)
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights (choice)."""
 LIMIT_OF_NAMES = 4.2
@@ -62,7 +62,7 @@ def check(models: Sequence[FlightModel], fitted: FlightFit, seed: int = 20250101
 
 
 def _lines(model: FlightModel, expectation: Expectation) -> dict[str, float]:
-    """The strongest single frequency of the residual, and of the stiffness, paid for the looking."""
+    """The strongest single frequency of the residual, and of the stiffness, all places paid for."""
     strengths = {}
     for name, line in (
         ("single line", strongest_line(model, expectation)),
@@ -89,8 +89,8 @@ def _unsteady(model: FlightModel, expectation: Expectation, rng: np.random.Gener
 def _changing(model: FlightModel, expectation: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Whether the spectrum changes in time, by narrow bands, against as much tapered white noise.
 
-    How the power in a band swings with a period of T/m is the sum over the band of one bin times the m-th after it; two
-    lines that were never there together are no two modes.
+    The swing of the power in a band with period T/m is the sum over the band of one bin times the conjugate of the m-th
+    after it. It tells one line that moved from two modes that are there all the time.
     """
     white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     count = white.shape[1]
@@ -131,7 +131,7 @@ def _near_modes(model: FlightModel, f_hz: Floats) -> Mask:
 
 
 def _swings(white: Complexes, edges: Indices) -> Floats:
-    """Strength of the m-th swing of the power in each band, (c, swings, bands); of chance about 1."""
+    """Strength of the m-th swing of the power in each band, (c, swings, bands), about 1 by chance."""
     strengths = []
     for m in range(1, _SWINGS + 1):
         products = white[:, :-m] * white[:, m:].conj()
@@ -164,8 +164,8 @@ def _toe(model: FlightModel, expectation: Expectation, rng: np.random.Generator)
 def outliers(white: Floats) -> Floats:
     """Standard normal equivalent (...,) of the kurtosis of white noise (..., m), along the last axis.
 
-    A kurtosis has a longer tail than its skewness in some hundred draws tells: 4 sigma would count as 4.6. After
-    Anscombe and Glynn, Biometrika 70 (1983) 227.
+    The tail of a kurtosis is longer than a gamma law with the skewness of some hundred draws: 4 sigma would count as
+    4.6. After Anscombe and Glynn, Biometrika 70 (1983) 227.
     """
     return np.asarray(kurtosistest(white, axis=-1).statistic)
 

@@ -1,8 +1,8 @@
 """Initial values of a fit: levels, colours, dampings and noise that make the model's spectra as large as the data's.
 
-The Whittle likelihood is exact and treacherous far from its maximum: where the data stand a thousand times above the
-belief, noise and damping are driven anywhere to make up for it. So each sensor's noise begins at the floor of its own
-spectrum, and the rest at a regression on the logarithm of the spectra, which is nearly linear in what is unknown.
+The Whittle likelihood has poor maxima far from the best one: where the data lie a thousand times above the belief,
+noise and damping move anywhere to make up for it. Each sensor's noise therefore begins at the floor of its spectrum,
+and the rest at a regression on the logarithm of the spectra, which is nearly linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.records import Floats
 
-_CHUNK = 8  # bins whose mean power is near normal (choice)
-_PARTS = 14  # chosen: bands of a spectrum: its colour, and not its modes
+_CHUNK = 8  # bins of one mean: the logarithm of their mean power is near normal (choice)
+_PARTS = 14  # chosen: bands of a spectrum, wide beside a mode
 _STEP = 1e-3  # of a prior sigma, for a difference quotient (numerical)
 _GAUSS_NEWTON_STEPS = 12  # chosen: at most; the fit goes on from there
-_CLOSE = 1.6  # mean square of residuals in units of what chance makes (choice)
-_ENOUGH = 1e-3  # gain in likelihood a point at which the steps end (choice)
+_CLOSE = 1.6  # mean square of residuals over that by chance, below which a start is good enough (choice)
+_ENOUGH = 1e-3  # gain per point, in sum of squares, below which the steps end (choice)
 _MOST = 2.0  # chosen: prior sigmas in one step: no start runs away
 
 
 def initial_values(models: Sequence[FlightModel]) -> list[Floats]:
-    """Nuisances (p,) from which to fit without effects; either may end in a bad optimum, hardly both."""
+    """Two vectors of nuisances (p,) from which to fit without effects; one may end in a poor maximum, hardly both."""
     believed = np.zeros(len(models[0].belief.nuisances))
     return [regressed_start(models, believed), noise_floor_start(models, believed)]
 

@@ -1,9 +1,8 @@
 """Lack of fit without a name: generic directions of mean and spectrum, tested like named effects.
 
 Spectra by band and channel, coherence and phase between the sides, peaks anywhere, forces and sensors by law, the toe
-against what it might follow, and its spread likewise. Each is tested by its efficient score, with everything that was
-fitted projected out, so its spread is the model's own and not a textbook's; each family also as a whole, which sees
-what is spread thinly.
+and its variance against regressors. Each is tested by its efficient score with all fitted parameters projected out, so
+that its variance is that under this model. Each family is also tested as a whole, for errors spread over many members.
 """
 
 from __future__ import annotations
@@ -49,11 +48,11 @@ from companion.diagnosis.selection.normal_scores import (
 from companion.diagnosis.selection.score_tests import efficient
 from companion.records import Floats
 
-_BANDS = 14  # chosen: of a spectrum: its colour, and not its modes
+_BANDS = 14  # chosen: bands of a spectrum, wide beside a mode
 _INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out (choice)
-# of a family: what is less than this beside its other members shows their errors, and nothing else (choice)
+# of an eigenvalue of a family's correlation, below which the member is a combination of others (choice)
 _ITS_OWN = 0.03
-_STRAIGHT = 1e-3  # skewness that is none (numerical)
+_STRAIGHT = 1e-3  # skewness below which a law counts as symmetric (numerical)
 _LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square (derived)
 
 
@@ -61,9 +60,9 @@ _LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two compl
 class _TestFamily:
     """Directions that belong together.
 
-    ``columns`` by recording; ``skewness`` and excess ``kurtosis`` of each score by chance, and how much ``wider`` it
-    scatters than its column says. Of a family with a ``title`` the whole is tested; one that is ``scanned`` counts with
-    its strongest only, which pays for the looking.
+    ``columns`` by recording; ``skewness`` and excess ``kurtosis`` of each score by chance; ``wider`` is the ratio of
+    its standard deviation to that by its column. A family with a ``title`` is also tested as a whole. A ``scanned`` one
+    counts with its strongest member only, which pays for the number of members.
     """
 
     names: list[str]
@@ -134,7 +133,7 @@ def _best(family: _TestFamily, z: Floats, index: np.ndarray[tuple[int, ...], np.
 
 
 def _together(score: Floats, information: Floats, kurtosis: float) -> float:
-    """Normal score of a family's sum of squares, to whose variance by chance each excess kurtosis adds."""
+    """Normal score of a family's sum of squares; the sum of excess kurtoses widens its variance by chance."""
     unit = 1.0 / np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     independent = values > _ITS_OWN
@@ -146,14 +145,14 @@ def _together(score: Floats, information: Floats, kurtosis: float) -> float:
 
 def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]:
     """Forces, sensors and ranges by law."""
-    # what is left of a name's own law beside it is how its column was made
+    # beside a name, its own law differs only by how its column was made
     own_laws = {term.effect.own_law for term in fitted.terms}
     kinds = [kind for kind in generic_effects() if kind.name not in own_laws]
     forces = [kind for kind in kinds if issubclass(kind, (GenericForce, GenericStiffness))]
     stepped = any(
         catalogue()[entry.name].discretises for model in models for entry in model.observations.sample_defects
     )
-    # a smooth law is not told from a staircase, which has no slope to speak of
+    # readings in coarse steps have no slope, by which a smooth law could be tested
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
     set_clocks = [kind for kind in kinds if issubclass(kind, GenericClockStep) and len(models) == 1]
     timed = BOTH_LATE if any(model.observations.recoil is not None for model in models) else ""

@@ -1,7 +1,7 @@
-"""A mode that nobody believes in, wherever it may lie: directions of the spectral matrix, one for each place.
+"""A further mode at any frequency: directions of the spectral matrix, one for each place.
 
-What a further mode adds is a peak that both sides show alike, or against each other. Its strength at the best of all
-places is paid for by how many places there are.
+A further mode adds a peak that both sides show alike, or against each other. Its strength at the best of all places is
+paid for by the number of places.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from companion.diagnosis.model.scores import Column, packed
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
-_APART = 1.05  # chosen: ratio of neighbouring trial frequencies: close beside what a recording resolves broadly
+_APART = 1.05  # chosen: ratio of neighbouring trial frequencies, about the width of a trial peak
 _DAMPING = 0.02  # chosen: ratio of the trial resonance: an airframe's usual lightly damped part
 
 

@@ -1,7 +1,7 @@
-"""Airframe parameters that had to leave their priors to make a model fit: something is wrong that has no name yet.
+"""Airframe parameters that leave their priors to make a model fit: something is wrong that has no name yet.
 
-Before the data speak, a fitted deviation is spread by its prior less what the data leave open. A name that comes near
-the truth lets the parameters make up for the rest, and that is where it shows.
+Under the model a fitted deviation has the prior variance less the posterior variance. Where a name is only near the
+truth, the parameters make up for the rest, and leave their priors.
 """
 
 from __future__ import annotations

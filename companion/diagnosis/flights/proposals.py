@@ -22,13 +22,13 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, expect, log_likelihood
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
-_MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance (choice)
+_MARGIN = 1.0  # nats by which a peak must exceed the strongest of so many trials by chance (choice)
 _APART_S = 0.15  # chosen: two kicks nearer than most of a period at 5 Hz are proposed as one
 _IMPULSES = 3  # convention: kicks of one effect (core/wing/effects/forcing/impulsive_forcing.py)
 _SLOWEST_CYCLES = 6.0  # in the recording: a slower line is drift (choice)
 _BETWEEN = 4  # places a bin: a line half way between two bins shows 0.4 of its power in either (choice)
 _FEWEST_BINS = 32  # of a band in which a line is sought (choice)
-_NEIGHBOURS = 40  # bins either side that tell a line's background (choice)
+_NEIGHBOURS = 40  # bins on either side whose median is the background of a line (choice)
 _FASTEST = 2.3  # of the first mode, for parametric excitation (choice)
 
 
@@ -58,7 +58,7 @@ def find_proposals(models: Sequence[FlightModel], fitted: FlightFit) -> Proposal
 
 
 def proposed_terms(kind: type[Effect], proposals: Proposals) -> list[EffectTerm]:
-    """The effect at the peaks where it is to begin; nothing where no such peak stands out."""
+    """The effect at the peaks where it is to begin; none where no such peak stands out."""
     proposal = proposals.get(kind.starts_at) if kind.starts_at is not None else None
     return [] if proposal is None else [EffectTerm(kind.at_peaks(proposal.peaks), log_trials=proposal.log_trials)]
 
@@ -66,7 +66,7 @@ def proposed_terms(kind: type[Effect], proposals: Proposals) -> list[EffectTerm]
 def candidates_of(
     kinds: Iterable[type[Effect]], channels: Sequence[str], proposals: Proposals = NO_PROPOSALS
 ) -> list[EffectTerm]:
-    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
+    """Every effect at strength 0, once for each value at which it is to be begun and each channel it may follow.
 
     Effects that the data themselves must lead to (a tone's frequency) begin where ``proposals`` say, or not at all;
     effects that show in the samples themselves are not screened.
@@ -124,7 +124,7 @@ def _likelihood_with(models: Sequence[FlightModel], fitted: FlightFit, term: Eff
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A single frequency that stands out: where, the logarithm of its chance with all trials paid for, and of these."""
+    """A single frequency that stands out, the log of its chance with all trials paid for, and the log of the trials."""
 
     frequency_hz: float
     log_tail: float

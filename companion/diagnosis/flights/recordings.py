@@ -30,16 +30,16 @@ from companion.diagnosis.selection.forward_selection import UNPHYSICAL
 from companion.diagnosis.selection.recordings import Cause, Prediction, Progress, Recordings, SelectionPath
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
-_QUIET_DB = 3.0  # above the noise, below which nothing is told (choice)
+_QUIET_DB = 3.0  # least range of a fitted spectrum over its minimum, below which the wing hardly moves (choice)
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # chosen: prior sigmas: a strength begins large, then small where large is far off
-_STRONG = 2.0  # prior sigmas, of an effect that is begun at every place (choice)
+_STRONG = 2.0  # prior sigmas of the strength of an effect that is begun at every place (choice)
 # scoring steps: of a refit, of one that goes on, of a fit, of a fold (choice)
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3
-_NEAR = 25.0  # nat behind, after one step: it may yet be the higher hill (choice)
+_NEAR = 25.0  # nat behind after one step, up to which a start may lead to the higher maximum (choice)
 _GUARD_S = 0.5  # at either edge of a block: some periods of the first mode (choice)
 _BLOCK_S = 6.0  # shortest that holds exposures between its guards (choice)
 _MOST_BLOCKS = 6  # a bound on the cost
-_WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's (choice)
+_WIDER = 5.0  # factor on prior sigmas in a fold, so that values are those of the data (choice)
 
 
 def diagnose(
@@ -113,9 +113,9 @@ class Flights(Recordings[EffectTerm, FlightState]):
         return None
 
     def _on_other_hill(self, fitted: FlightFit, reached: FlightFit) -> FlightFit | None:
-        """From the best place of the last effect's scan, if its first step comes near to what was reached.
+        """Fit from the best place of the last effect's scan, if its first step comes near to what was reached.
 
-        A step tells hills apart by tens of nats, at a fourth of what it costs to climb them all.
+        After one step the maxima lie tens of nats apart, at a fourth of the cost of climbing all.
         """
         tried = (self._begun(fitted, [term], 1, True) for term in _strong_at_each_place(reached.terms[-1]))
         best = max((entry for entry in tried if entry), key=lambda entry: entry.log_evidence, default=None)
@@ -182,8 +182,8 @@ def _strong_at_each_place(term: EffectTerm) -> list[EffectTerm]:
 class _Half:
     """Every other block of a recording.
 
-    How the wing moved at an exposure is told by the accelerations about it, and is not held out: a block of 9 s alone
-    tells no motion at its ends. ``exposures`` are those of each block, under the motion of the whole recording.
+    The motion at an exposure follows from the accelerations about it and is not held out, because a block of 9 s leaves
+    the motion unknown at its ends. ``exposures`` are those of each block, under the motion of the whole recording.
     """
 
     accelerations: tuple[FlightModel, ...]

@@ -1,7 +1,7 @@
-"""Screening of effects that ring: by the likelihood of their best trial value, where their score at nothing misleads.
+"""Screening of effects that ring: by the likelihood of their best trial value, where their score at 0 misleads.
 
-A mount's softness is at first order a gain that grows with frequency. A mount that rings sharply is none: beyond its
-resonance it moves against the wing. Where it rings, neighbouring exposures go together, and only there it is sought.
+To first order a soft mount is a gain that grows with frequency. A mount that rings sharply is not: beyond its resonance
+it moves against the wing. It is sought only where residuals of neighbouring exposures are correlated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.normal_scores import normal_score
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
-_TOGETHER = 3.5  # chosen: sigmas of the correlation of neighbours: one in 700 of three lags by chance
+_TOGETHER = 3.5  # chosen: sigmas of a correlation of neighbours: one in 700 by chance, with three lags
 _LAGS = 3  # chosen: exposures apart: a ringing that lasts shows in the first ones
 _FEWEST = 20  # chosen: exposures: of fewer a correlation has no known law
 

@@ -1,7 +1,7 @@
-"""Names against laws without a name: one is said only if nothing anonymous explains the recording better.
+"""Names against laws without a name: a name is given only if no anonymous law explains the recording better.
 
-What remains once a name is fitted shows little of a cause that comes near to it: two shapes that share nine tenths
-leave less than half of either. Side by side, each in place of the other, the whole of what tells them apart counts.
+The residual of a fitted name shows little of a cause that is near to it: two shapes that correlate to nine tenths leave
+less than half of either. Fitted in place of each other, they differ by the whole of what distinguishes them.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ BETTER = 2.0
 with Phi(-d/2 - 2/d), 2 % at most (choice)."""
 _REFITTED = 3  # candidates, a bound on the cost (choice)
 _TWINS = 3  # candidates whose score is a name's, which only a refit tells apart, a bound on the cost (choice)
-_CLOCKS = 1  # that were set, a bound on the cost (choice)
-_OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep (choice)
+_CLOCKS = 1  # refitted clocks that were set, a bound on the cost (choice)
+_OUT_OF_REACH = 0.5  # of the names' gain: a law whose log odds are less is not refitted (choice)
 _RANKING_STEPS = 8  # chosen: scoring steps of a fit that ranks: enough to order, cheap enough for many
 _FIRST_STEP = 0.5  # chosen: prior sigmas: far enough from none for a gradient
 
@@ -61,7 +61,7 @@ class RivalModel:
 
 @dataclass(frozen=True, slots=True)
 class _Competitor:
-    """A law in place of the names: the ``price`` of a parameter of either, and what it has before any fit, nat."""
+    """A law in place of the names: twice the cost of a parameter (``price``), and its lead before any fit, nat."""
 
     law: Candidate[EffectTerm]
     price: float
@@ -74,11 +74,10 @@ def strongest_rival_model(
     """The law that explains most in place of all the names of a fit; None where none comes near.
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score the
-    parameters of a name can imitate may be that name to first order: it is a rival only by what it fits better,
-    whatever else the name may do; what stands beside that name is paid for. Several names at once are as much rarer
-    than one unknown law as the search has it. A clock that was set once is such a rival
-    of whatever shifts stamps: one parameter and an instant stand against a rate and an instant. A name's own law, in
-    another shape, is none.
+    parameters of a name can imitate may be that name to first order. Its parameters then cost nothing, nor do those of
+    that name; further names are paid for. For each name beyond the first the rival is ahead by the further evidence
+    that the search asks of it. A clock that was set once is such a rival of names that shift stamps: one parameter and
+    an instant stand against a rate and an instant. A name's own law in another shape is no rival.
     """
     named = [_at_nothing(term) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *_clocks(models, named), *named], shapes=True)
@@ -114,7 +113,7 @@ def _competitors(
     twins = [law for law, rho in rest if rho >= SAME][:_TWINS]
     return [
         *[_Competitor(law, count, ahead) for law, rho in rest if rho < SAME][:_REFITTED],
-        # alike to the name, they are alike to each other: one look, however many
+        # alike to the name, they are alike to each other, and count as one look
         *(_Competitor(law, 0.0, ahead + others[law.name]) for law in twins),
         *(_Competitor(law, 0.0, ahead) for law in clocks),
     ]
@@ -136,7 +135,7 @@ def _cost_of_others(screening: Screening[EffectTerm], named: Sequence[int], coun
 
 
 def _out_of_place(fitted: FlightFit) -> float:
-    """Minus the log prior of where effects are: a clock that was right long before a recording is only late in it."""
+    """Minus the log prior of ``scan`` parameters: a clock that was right long before a recording is only late in it."""
     return fitted.neg_log_prior(
         [
             place
@@ -148,7 +147,7 @@ def _out_of_place(fitted: FlightFit) -> float:
 
 
 def _at_nothing(term: EffectTerm) -> EffectTerm:
-    """A name at no strength; what means nothing then, and is scanned for or begun at a peak, is as it was fitted."""
+    """A name at strength 0; parameters that are scanned or begun at a peak keep their fitted values."""
     kind = type(term.effect)
     places = [*kind.scan, *_of_peaks(kind)]
     return EffectTerm(kind.from_values({name: getattr(term.effect, name) for name in places}), term.channel)
@@ -164,7 +163,7 @@ def _of_peaks(kind: type[Effect]) -> list[str]:
 
 
 def _clocks(models: Sequence[FlightModel], named: Sequence[EffectTerm]) -> list[EffectTerm]:
-    """Clocks that were set at some instant, beside a name that shifts stamps; several recordings share no instant."""
+    """Clocks that were set at some instant, if a name shifts stamps; none for several recordings, which share none."""
     if len(models) > 1 or all(type(term.effect).sample_time is Effect.sample_time for term in named):
         return []
     kinds = generic_clock_settings()

@@ -16,7 +16,7 @@ from companion.diagnosis.selection.score_tests import Candidate, Screening, Test
 from companion.records import Floats
 
 _UNIT = 1e-3  # prior sigmas (numerical)
-_SLIGHT = 0.01  # prior sigmas: a strength at which an instant or a frequency means something (choice)
+_SLIGHT = 0.01  # prior sigmas: a strength at which an instant or a frequency has an effect (choice)
 
 
 def screen(
@@ -29,8 +29,8 @@ def screen(
     """Score every term at a fitted model ``null``, which may hold effects that have been accepted.
 
     ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` is told the share that is done. With
-    ``shapes`` what means nothing at no strength (an instant, a frequency) has the column of a slight strength: it
-    tells nothing of whether an effect is there, but which other effects it can imitate.
+    ``shapes`` parameters without an effect at strength 0 (an instant, a frequency) have the columns of a slight
+    strength. These say nothing of whether an effect is there, but which other effects it can imitate.
     """
     columns = [list(entry) for entry in null.state.columns]
     tested: list[Tested[EffectTerm]] = []
@@ -39,7 +39,7 @@ def screen(
         declared = term.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
         values = np.concatenate([null.values, [getattr(term.effect, entry.name) for entry in declared]])
-        # a mode's frequency means nothing while its participation is 0: neither it nor what follows it has a column
+        # a mode's frequency has no effect while its participation is 0: neither it nor later parameters have a column
         count = next((k for k, entry in enumerate(declared) if entry.name in term.effect.scan), len(declared))
         only = range(len(null.values), len(null.values) + count)
         wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
@@ -89,8 +89,8 @@ def _score_scatter(models: Sequence[FlightModel], null: FlightFit, tested: Seque
 def perturbed_start(candidate: Candidate[EffectTerm], most: float, first: float = 0.5) -> EffectTerm:
     """Start a refit at a small step in the direction of the score, on the side where the effect can be.
 
-    What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
-    move these astray before the strength has grown: ``most`` is ``first``, prior sigmas, at the first attempt.
+    An effect at a frequency or instants that the data gave begins as strong as the score says. From less, the fit would
+    move these away before the strength has grown. ``most`` (prior sigmas) equals ``first`` at the first attempt.
     """
     declared = candidate.term.effect.parameters()
     values = {entry.name: float(getattr(candidate.term.effect, entry.name)) for entry in declared}

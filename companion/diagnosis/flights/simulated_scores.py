@@ -1,8 +1,7 @@
 """Scatter by chance of the scores of nonlinear sensors, by simulation.
 
-The score of a change that is made of the data themselves scatters otherwise than its column's product says: a swelling
-reading twice as much in variance, one that is late not at all. Recordings drawn from the fitted spectra tell by how
-much.
+A change that is made of the data themselves has a score whose variance is not that of its column: it is twice as much
+for a gain that grows in time, and 0 for a delay. The ratio is measured on recordings drawn from the fitted spectra.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 DRAWS = 40
-"""Recordings that tell a scatter, to 11 % (choice)."""
+"""Simulated recordings: a standard deviation is then known to 11 % (choice)."""
 _SEED = 20250102  # convention: any fixed number
 
 
@@ -33,7 +32,7 @@ def is_sample_nonlinearity(effect: Effect) -> bool:
 def score_scatter(
     models: Sequence[FlightModel], expectations: Sequence[Expectation], effects: Sequence[Effect]
 ) -> Floats:
-    """Standard deviation of each effect's score over what the product of its column says, (e,); effects not at 0."""
+    """Standard deviation of each effect's score over that by its column, (e,), at least 1; for effects not at 0."""
     squares, products = np.zeros(len(effects)), np.zeros(len(effects))
     for model, expectation in zip(models, expectations, strict=True):
         scores, naive = _drawn(model, expectation, effects)

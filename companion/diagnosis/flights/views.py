@@ -52,7 +52,7 @@ class ForceMap:
 
 @dataclass(frozen=True, slots=True)
 class Backbone:
-    """The symmetric mode by amplitude: its frequency, and the work that a missing force takes out, with their errors.
+    """The symmetric mode by amplitude: its frequency, and the work that a missing force takes out of it, with sigmas.
 
     The work is force times speed in units of their rms: above 0 the wing is damped more than the model is.
     """
@@ -131,7 +131,7 @@ def strengths(
 
 
 def _statistics(model: FlightModel, expectation: Expectation) -> dict[str, float]:
-    """One number for each view, larger the less it looks as it should; logarithms, which scatter more evenly."""
+    """One number for each view, which grows with its lack of fit; logarithms, whose scatter is nearer to normal."""
     spine, force = backbone(model, expectation), force_map(model, expectation).force
     statistics = {
         AUTOCORRELATION: float(np.max(np.abs(autocorrelation(model, expectation).values))),
