@@ -52,7 +52,7 @@ def full(a: Complexes) -> Complexes:
 
 
 def inverse(a: Complexes) -> Complexes:
-    """Inverses (n, n, f); elimination without pivots, which damped oscillators and covariances allow."""
+    """Inverses (n, n, f), by elimination without pivots: stable for damped oscillators and covariances."""
     if a.ndim == 2:
         return np.asarray(1.0 / a)
     n = len(a)

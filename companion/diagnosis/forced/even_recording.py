@@ -11,12 +11,12 @@ from scipy.signal import medfilt
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
-_LOST = 1.6  # of the usual step: from there on a row is missing (choice)
-_GAP = 3.5  # of the usual step: two rows may be lost, which a spline of what is in the band passes (choice)
-_MOST_LOST = 2.0  # rows of the even grid by those that came: more is no recording at that rate (choice)
+_LOST = 1.6  # usual steps, from which a row is missing (choice)
+_GAP = 3.5  # usual steps, from which a step is a gap: a spline follows the band across two lost rows (choice)
+_MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
-_SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median, and times the median step from it: wild, no vibration
-_PILED = 0.005  # of all samples at the largest or smallest value: a range has cut them (choice)
+_SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median; median steps from it, beyond which a sample is wild
+_PILED = 0.005  # share of samples at the largest or smallest value, from which they are clipped (choice)
 
 
 @dataclass(frozen=True, slots=True)

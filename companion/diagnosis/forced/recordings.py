@@ -37,13 +37,13 @@ from companion.records import Floats
 
 FORCE = "force"
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
-_LEAST_BINS = 8  # chosen: of the band in a segment: more than the parameters of a mode
-_EDGE = 0.02  # of a recording, at either end (choice)
+_LEAST_BINS = 8  # chosen: bins of the band in a segment, more than the parameters of a mode
+_EDGE = 0.02  # of a recording, left out at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
-_PASSES = 4  # of the weight: it is made of the linear part, which it moves a little (choice)
-_FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # by the response's mean, each 1.26 times the last (choice)
+_PASSES = 4  # of least squares: the weight depends on the coefficients (choice)
+_FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over the response's mean, by 1.26 (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
-_SURE = 5.0  # sigmas from which a sign is no chance (choice)
+_SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),

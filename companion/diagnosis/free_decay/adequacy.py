@@ -1,8 +1,8 @@
-"""Are the innovations white, of the expected size, and steady? Each statistic against draws of the model itself.
+"""Tests of the innovations: white, of the expected size, steady; each statistic against draws of the model.
 
-Under the model the innovations over their own standard deviation are independent and standard normal, exactly; so the
-spread of any statistic is that of such draws at the same samples, and its false-alarm rate is what they say. Judged are
-the samples between impulses: of what shape an impulse is nobody claims to know.
+Under the model the innovations over their own standard deviation are independent and standard normal. The spread of any
+statistic, and its false-alarm rate, are therefore those of such draws at the same samples. Only samples between
+impulses are judged, because the shape of an impulse is not modelled.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from companion.records import Floats
 
 LIMIT = 5.5  # sigmas: one in 10^7, for the many checks of a page (choice)
 LAGS = 20  # samples, a few cycles at the rate of a free decay (choice)
-_DRAWS = 300  # of white noise, which tell a statistic's spread to 4 % (choice)
+_DRAWS = 300  # of white noise: the spread of a statistic is then known to 4 % (choice)
 _BLOCKS = 12  # of a recording, for a change of its noise (choice)
-_QUIET = 4.0  # times the variance that the quietest tenth of the samples is expected to have (choice)
+_QUIET = 4.0  # times the 10th percentile of the innovations' variance, up to which no impulse is near (choice)
 _NAMES = ("innovations' size", "innovations' neighbours", "outliers", "unsteadiness")
 
 

@@ -84,7 +84,7 @@ def _damping_name(law: Law, diagnosis: FreeDecayDiagnosis) -> str:
 
 
 def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
-    """Whether a law foretells blocks of which it was not fitted, beyond chance."""
+    """Whether a law predicts blocks that it was not fitted to better, beyond chance."""
     return diagnosis.errors[index + 1].gone(diagnosis.errors[index])[1] > 0.0
 
 
@@ -182,7 +182,7 @@ def _residual(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
 
 
 def _screened(diagnosis: FreeDecayDiagnosis, entry: Candidate[Extension]) -> dict[str, Any]:
-    """One law against the null alone: its evidence, and what it foretells, are two things."""
+    """One law against the null alone: its evidence, and its gain in prediction, which may disagree."""
     law = entry.term
     row: dict[str, Any] = {
         "name": law.effect or None,
@@ -197,7 +197,7 @@ def _screened(diagnosis: FreeDecayDiagnosis, entry: Candidate[Extension]) -> dic
 
 
 def _pairs(diagnosis: FreeDecayDiagnosis) -> list[dict[str, float]]:
-    """Frequencies of both modes at the lowest and the highest of what the first one did."""
+    """Frequencies of both modes, Hz, where the first one is lowest and where it is highest."""
     model, rows = diagnosis.final.state, []
     for k in range(len(model.recordings)):
         omega = model.modes(diagnosis.final.values[None, :], k).omega_radps[0] / (2.0 * np.pi)

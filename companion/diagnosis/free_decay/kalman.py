@@ -2,9 +2,9 @@
 
     u' = omega_0 v,    v' = -(omega^2 / omega_0) u - 2 zeta omega v + load
 
-with u = omega_0 q; omega and zeta are constant within a step, for which the transition is exact. An accelerometer feels
-load and spring alike, so a sample is the mean acceleration of its step, y = sum of (v_k - v_(k-1)) / step, plus noise:
-what drives the state is also in the sample, and the filter knows it.
+with u = omega_0 q, m/s; omega and zeta are constant within a step, and the transition over it is exact. An
+accelerometer feels load and spring alike, so a sample is the mean acceleration of its step, y = sum of (v_k - v_(k-1))
+/ step, plus noise. The load drives both state and sample, and the filter has their covariance.
 """
 
 from __future__ import annotations

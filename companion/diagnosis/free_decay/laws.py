@@ -1,6 +1,6 @@
 """Laws of a mode's frequency and damping in a free decay, and a second mode near the first.
 
-A named law is an effect of the catalogue; a law without a name only ever describes what is left.
+A named law is an effect of the catalogue; a law without a name describes what is left and is no cause.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ Extension = Law | NeighbourMode
 
 
 def laws_for(channels: Sequence[str]) -> list[Extension]:
-    """Everything that is tried, for the channels that were recorded."""
+    """All laws that are tried, for the channels that were recorded."""
     extensions: list[Extension] = [NeighbourMode()]
     for channel in channels:
         extensions.append(_covariate(channel))

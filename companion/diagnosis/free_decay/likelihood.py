@@ -1,4 +1,4 @@
-"""Likelihood of free decays: the innovations of a filter that runs all differences of a vector in one sweep."""
+"""Likelihood of free decays from innovations of a filter; all difference quotients of a vector run in one sweep."""
 
 from __future__ import annotations
 

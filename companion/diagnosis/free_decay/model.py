@@ -1,4 +1,4 @@
-"""The modes of a decaying structure under some laws: a parameter vector in, what a filter needs out."""
+"""The modes of a decaying structure under some laws: from a parameter vector to the input of the Kalman filter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _NUISANCES = 3  # nuisances of each recording: impulse to load, noise, impulse to noise (by definition)
-_SLOWEST = 0.2  # of the believed frequency, a bound for the fit
+_SLOWEST = 0.2  # of the constant part of the frequency, a bound for the fit
 _ZETA = (1e-5, 0.5)  # numerical: keeps a filter stable and a mode oscillating, far outside any wing's damping
 
 

@@ -1,7 +1,8 @@
 """A free decay on a grid that carries the modes' band and no more, with the strength of its impulses.
 
-Nobody measured the impulses. They are broad: the acceleration's rms above the band, where no mode of interest is, tells
-when they came and how strong they were relative to each other. One factor per recording then makes a load of it.
+The impulses were not measured. They are broad in frequency: the rms of the acceleration above the band, where no mode
+of interest is, shows when they came and how strong they were relative to each other. One factor per recording scales it
+to a load.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from scipy.signal import hilbert
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
-_ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not (choice)
-_LEAST_S = 2.0  # chosen: ten periods at 5 Hz, fewer tell no damping
+_ABOVE = (4.0, 15.0)  # times the band's top: band in which impulses are seen and modes of interest are not (choice)
+_LEAST_S = 2.0  # chosen: ten periods at 5 Hz, of fewer the damping is not known
 _GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
 _ROOM = 1.3  # times the band's upper edge, kept by the anti-alias filter (choice)
-_VIBRATES = 0.3  # of the power above the band's lower edge (choice)
-_ECHO = 20  # chosen: samples that the edge of the band rings on either side
-_QUIET = 0.02  # chosen: of the mean square above the band: no impulse
+_VIBRATES = 0.3  # share of power above the band's lower edge from which a channel is a response (choice)
+_ECHO = 20  # chosen: samples on either side of an impulse over which the edge of the band rings
+_QUIET = 0.02  # chosen: of the mean square above the band, up to which a sample has no impulse
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +50,8 @@ class FreeDecay:
         In the band below half the rate, mean removed.
     impulse_mps2 : (n,)
         Rms above the band, in each step.
-    echo_mps2 : (n,)
-        The same, with what the edge of the band spreads of an impulse to samples before and after.
+    leakage_mps2 : (n,)
+        Rms that the edge of the band makes of impulses in the samples before and after them.
     channels : dict of str to (n,)
         About the mean of all recordings, in units of their rms.
     amplitude : (n,)
@@ -116,7 +117,7 @@ def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple
 
 
 def _vibrates(raw: RawFreeDecay, name: str, band_hz: tuple[float, float]) -> bool:
-    """Whether most of what a channel does is in the band of the modes or above."""
+    """Whether a channel has more than 0.3 of its power in the band of the modes or above."""
     values = raw.channels[name] - raw.channels[name].mean()
     f_hz = np.fft.rfftfreq(len(values), float(np.median(np.diff(raw.t_s))))
     power = np.abs(np.fft.rfft(values)) ** 2

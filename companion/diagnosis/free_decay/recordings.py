@@ -34,12 +34,12 @@ from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way (choice)
-_DEEP = 40  # chosen: steps of a fit that decides: it ends earlier once settled
+_DEEP = 40  # chosen: steps, at most, of a fit that decides
 _QUICK = 10  # chosen: steps of a fit that ranks: enough to order, cheap enough for many
-_FOLD = 4  # steps from the fit on all blocks, which is near (choice)
+_FOLD = 4  # steps of a fit on half of the blocks, from the fit on all (choice)
 _RINGS = 0.15  # a damping ratio above that is no mode (choice)
-_BLOCK_S = 1.0  # chosen: long beside a period, short beside a recording: many blocks to fold
-_GUARD_S = 0.1  # chosen: a tenth of a block on either side, so that neighbours share no error
+_BLOCK_S = 1.0  # chosen: length of a block, long beside a period and short beside a recording
+_GUARD_S = 0.1  # chosen: left out at either edge of a fitted block, so that neighbours share no error
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class FreeDecayDiagnosis:
     alone : dict of str to HeldOut
         Of each named frequency law alone, by what it says.
     ahead_s : float
-        By how much the acceleration was foretold.
+        Time by which the acceleration was predicted ahead, one period.
     """
 
     outcome: Diagnosis[Extension, FreeDecayModel]
@@ -159,7 +159,7 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         return fit_best_of(model, model.values_from(near.keys, near.values)[None, :], self._all, _DEEP)
 
     def screen(self, fitted: FreeDecayFit, progress: Progress) -> Screening[Extension]:
-        """Refit with each further law in a few steps: a frequency that goes far has no score at nothing."""
+        """Refit with each further law in a few steps: a frequency that moves far is not told by its score at 0."""
         remaining = [entry for entry in self._offered if entry not in fitted.terms]
         candidates = []
         for i, entry in enumerate(remaining):
@@ -212,9 +212,9 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         return _FittedCandidate(entry, z, fitted.log_evidence - current.log_evidence, fitted=fitted)
 
     def _predict(self, fitted: FreeDecayFit, parity: int) -> list[Prediction]:
-        """Fit again on every other block and foretell the acceleration one period ahead on the rest.
+        """Fit again on every other block and predict the acceleration one period ahead on the rest.
 
-        Nobody can foresee an impulse: only samples are scored before which none came within the prediction.
+        Impulses cannot be predicted: only samples are scored before which none came within the prediction.
         """
         inside = [_in_fold(record, parity) for record in self._recordings]
         masks = [in_fold & _clear_of_edges(record) for record, in_fold in zip(self._recordings, inside, strict=True)]
@@ -250,7 +250,7 @@ def _clear_of_edges(record: FreeDecay) -> Mask:
 
 
 def _starts(entry: Extension, model: FreeDecayModel, start: Floats, wide: bool) -> Floats:
-    """Initial vectors (b, p) of a climb: a frequency that swings far has many small hills."""
+    """Initial vectors (b, p) of a fit: with a frequency that moves far the likelihood has many local maxima."""
     rows = []
     if not isinstance(entry, Law):
         for ratio in entry.starts:

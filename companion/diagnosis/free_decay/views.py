@@ -16,8 +16,8 @@ from companion.records import Floats
 
 _WINDOW_S, _STEP_S = 0.3, 0.1  # chosen: a period and a half at 5 Hz, moved by a third so that windows overlap
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
-_QUIET = 0.02  # chosen: of the mean squared impulse: no impulse
-_LEAST_AMPLITUDE = 0.03  # of the 95th percentile: below, noise rules the envelope (choice)
+_QUIET = 0.02  # chosen: of the mean squared impulse, up to which a sample has no impulse
+_LEAST_AMPLITUDE = 0.03  # of the envelope's 95th percentile, below which it is noise (choice)
 _CELLS = 21  # of a map, odd so that one stands at zero (choice)
 _SPREAD = 2.5  # chosen: of the map, in rms: nearly all of a decay lies within
 
@@ -62,7 +62,7 @@ def _peak_hz(window: Floats, rate_hz: float) -> float:
 
 
 def restoring_force(model: FreeDecayModel, values: Floats, recording: int) -> tuple[Floats, Floats, Floats]:
-    """Mean of what the spring and damper of a model leave of the acceleration, over deflection and speed.
+    """Mean acceleration that spring and damper of a model do not explain, over deflection and speed.
 
     Returns
     -------

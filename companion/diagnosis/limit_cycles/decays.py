@@ -43,7 +43,7 @@ class ForceCurve:
 
 
 def force_curve(entry: VibrationTrack, response: str) -> ForceCurve | None:
-    """The spring as windows of one recording tell it; None where there are too few."""
+    """The spring by the windows of one recording; None where there are too few."""
     a = entry.amplitude[response]
     if len(a) < _FEWEST or float(np.ptp(a)) == 0.0:
         return None

@@ -1,6 +1,7 @@
-"""Airspeeds that recordings say against those that their vibration tells: one that disagrees is named.
+"""Recordings whose stated airspeed disagrees with that of their vibration.
 
-A limit cycle tells it by its amplitude, a vibration that is still small by how fast it grows or decays.
+The airspeed follows from the amplitude of a limit cycle, or from the growth or decay of a vibration that is still
+small.
 """
 
 from __future__ import annotations
@@ -16,25 +17,25 @@ from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
 
 _FEWEST = 7  # limit cycles of which one can be judged: with six others three residuals are left (choice)
-_FAR = 6.0  # chosen: times how well the others tell it: no chance among hundreds
-_LEAST = 0.06  # of the airspeed: less is drift of the rig between days (choice)
+_FAR = 6.0  # chosen: sigmas of the airspeed by the others, from which a label is wrong
+_LEAST = 0.06  # least error relative to the airspeed: less is drift of the rig between days (choice)
 _LEAST_ABSOLUTE = 0.5 * np.pi  # variance of a median by that of a mean, of normal errors (derived)
 _DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
 _REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
 SMALL = 0.35
-"""Amplitude as a ratio of the largest below which a vibration is on its way (choice)."""
+"""Amplitude over the largest, below which a vibration counts as small (choice)."""
 NOISY = (1e-4, 0.3)
-"""Ratios of the largest amplitude: between them a window's error grows with the inverse, else its change (choice)."""
+"""Ratios of the largest amplitude, between which the error of a window is proportional to 1/amplitude (choice)."""
 _FEWEST_WINDOWS = 3  # of a recording that is judged by its growth (choice)
 _FEWEST_GROWING = 3  # recordings, which can judge a fourth (choice)
-_RELATED = 2.0  # gusts of the tunnel outlast a window: so much less do windows tell than if each stood alone (choice)
+_RELATED = 2.0  # factor on the variance, because gusts of the tunnel outlast a window (choice)
 
 
 @dataclass(frozen=True, slots=True)
 class LabelDoubt:
     """A recording whose vibration is that of another airspeed than it says.
 
-    ``scatter_mps`` is how well the others tell it; ``by`` what tells it.
+    ``tells_mps`` is the airspeed by the vibration, ``scatter_mps`` its sigma, ``by`` the property that gave it.
     """
 
     recording: int
@@ -79,7 +80,7 @@ def _growths(tracks: Sequence[VibrationTrack], aside: AbstractSet[int]) -> list[
 
 
 def _doubtful_growths(tracks: Sequence[VibrationTrack], growths: Sequence[_Growth]) -> list[LabelDoubt]:
-    """The recording furthest off as the others have it, then the furthest of the rest."""
+    """The recording furthest from the fit to the others, then the furthest of the rest."""
     if len(growths) <= _FEWEST_GROWING:
         return []
     doubts = []
@@ -128,9 +129,9 @@ def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]
 
 
 def _furthest_first(says: Floats, tells: Floats, rows: list[int]) -> list[tuple[int, float, float]]:
-    """The row furthest off as the others have it, then the furthest of the rest; each with what it tells, and sigma.
+    """The row furthest from the fit to the others, then the furthest of the rest; each with its airspeed and sigma.
 
-    The largest and the smallest amplitude are not judged: of an extrapolation nobody knows the error.
+    The largest and the smallest amplitude are not judged, because the error of an extrapolation is not known.
     """
     if len(rows) < _FEWEST:
         return []

@@ -34,13 +34,13 @@ from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
 LIMIT_CYCLE = "limit-cycle"
-"""Name of an amplitude that the wing itself settles on; no effect of the catalogue, which has stable wings only."""
+"""Name of a self-excited cycle; it is no effect of the catalogue, which has stable wings only."""
 FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
 CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
-_FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed (choice)
-_FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping (choice)
-_FEWEST_RECORDINGS = 3  # at one airspeed: of two the smaller does not foretell the larger (choice)
-_SLOWEST_MPS = 0.1  # below, the air does nothing (choice)
+_FEWEST_CYCLES = 4  # limit cycles, to fit how they change with airspeed (choice)
+_FEWEST_WINDOWS = 6  # on the way to or from a cycle, to fit its damping (choice)
+_FEWEST_RECORDINGS = 3  # at one airspeed, to hold one out: of two, one does not predict the other (choice)
+_SLOWEST_MPS = 0.1  # least airspeed of which a logarithm is taken (choice)
 _PER = " per rms of the airspeed"
 _TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
@@ -60,7 +60,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """Airspeed at which small vibrations stop decaying, m/s, told by growth and decay at small amplitude alone."""
+    """Airspeed at which small vibrations stop decaying, m/s, from growth and decay at small amplitude alone."""
 
     airspeed_mps: float
     sigma_mps: float
@@ -143,7 +143,7 @@ def _rows(number: int, entry: VibrationTrack) -> list[Row]:
 
 
 def _blocks(rows: Sequence[Row], speeds: Floats) -> Floats:
-    """Rows that are held out together, (n,): of an airspeed; of a recording where there is one; of few, each other."""
+    """Block of each row, (n,): airspeed; at one airspeed the recording; of one or two recordings 0 and 1 by turns."""
     recording = np.array([row.recording for row in rows], dtype=np.float64)
     if np.ptp(speeds) > 0.0:
         return speeds
@@ -237,7 +237,7 @@ def _damping(name: str, a: Floats, inside: Floats) -> RegressionTerm:
 def _held_out(
     regressions: Regressions, fitted: RegressionFit, rows: Sequence[Row], names: Sequence[str]
 ) -> tuple[HeldOutSpeed, ...]:
-    """Limit cycles of each airspeed as the others foretell them."""
+    """Limit cycles of each airspeed, predicted from the others."""
     cycles = [row for row in rows if row.cycle]
     if len(cycles) < _FEWEST_CYCLES or not any(term.name == LIMIT_CYCLE for term in fitted.terms):
         return ()

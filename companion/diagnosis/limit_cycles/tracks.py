@@ -1,4 +1,4 @@
-"""Amplitude, frequency and growth of a vibration by windows of some periods, without any model of what they follow.
+"""Amplitude, frequency and growth of a vibration by windows of some periods, without a model of their causes.
 
 With z(t) the complex envelope of a channel about its strongest frequency, averaged over two periods so that neither the
 mean nor harmonics are in it, amplitude is |z|, frequency the slope of its phase, growth the slope of ln |z|.
@@ -18,12 +18,12 @@ from companion.records import Floats
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _SPIKE = 5  # samples of the median that a single wild sample does not pass (choice)
 _SPIKY = 12.0  # times the median step: a spike, no vibration (choice)
-_UNEVEN = 0.15  # rms of ln amplitude about its line in a window: a blow came, or another mode beats (choice)
+_UNEVEN = 0.15  # rms of ln amplitude about its line, from which a window has a blow or a beat in it (choice)
 _STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle (choice)
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
-_LEAST_PASSED = 0.3  # of the amplitude by the average over two periods, far from its centre (choice)
+_LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
-_NOISE_FLOOR = 6.0  # times the rms beside the mode: below, the envelope is noise (choice)
+_NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ def _steady(amplitude: Floats, least: int) -> np.ndarray[tuple[int, ...], np.dty
 
 
 def _beside(values: Floats, rate_hz: float, centre_hz: float) -> float:
-    """Rms that noise leaves in the envelope: of the quietest bands from 3 to 8 times the frequency, as wide."""
+    """Rms of the noise in an envelope: the least of three bands, each as wide as f, from 3.3 to 8.3 f."""
     count = len(values)
     f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
     power = 2.0 * np.abs(np.fft.rfft(values)) ** 2 / count**2

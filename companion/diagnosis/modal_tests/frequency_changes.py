@@ -23,7 +23,7 @@ CHANGED_Z = 5.0
 NOTABLE_CHANGE = 0.002
 """Relative change (convention) below which a mode is shown, but no cause is asked."""
 ORDER = "run_order"
-_SAME = 0.02  # of a channel's range: values that count as equal (choice)
+_SAME = 0.02  # of a channel's range, within which values count as equal (choice)
 _LOG_SMALLEST = -600.0  # exponents below underflow (numerical)
 
 

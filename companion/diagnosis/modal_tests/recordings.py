@@ -41,7 +41,7 @@ from companion.errors import RecordingError
 
 ONE_RUN = "one run has nothing to be compared with"
 """Reason of a verdict on a test of a single run."""
-_WIDE = 0.1  # prior sigma of a frequency, and of its change, relative: what a wing may do at most (choice)
+_WIDE = 0.1  # relative prior sigma of a frequency and of its change (choice)
 _NOISE_KNOWN = 1e-9  # prior sigma of the logarithm of a noise that the modal fits have measured
 
 

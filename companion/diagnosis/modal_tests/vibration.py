@@ -22,15 +22,15 @@ from companion.errors import RecordingError
 from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
-# chosen: of the peak's frequency, some widths of a lightly damped mode; the least keeps bins enough
+# chosen: half-width of the fit: of the peak's frequency, some widths of a lightly damped mode; and at least
 _WIDTH, _LEAST_WIDTH_HZ = 0.03, 0.3
-_REACH = 0.035  # how far a mode may wander from run to run (choice)
+_REACH = 0.035  # of a mode's frequency, by which it may change from run to run (choice)
 _SMOOTHED = 7  # bins of the moving average in which peaks are sought (choice)
-_PROMINENCE = 0.7  # chosen: of the logarithm: a factor of two above what lies beside
+_PROMINENCE = 0.7  # chosen: prominence of a peak in the logarithm: a factor of two
 # chosen: starts of the fit, from a metal frame's to a wing's in air; the best one counts
 _DAMPINGS = (0.003, 0.01, 0.03)
-_LEAST_FREEDOM = 1  # convention: numbers about a peak beyond the unknowns: with none the fit is exact, its sigma 0
-_MOST_LEFT = 0.5  # of the responses about a peak, which no mode that stands out leaves (choice)
+_LEAST_FREEDOM = 1  # convention: numbers about a peak beyond the unknowns; with none the sigma would be 0
+_MOST_LEFT = 0.5  # share of the responses about a peak that a mode may leave (choice)
 
 
 @dataclass(frozen=True, slots=True)
