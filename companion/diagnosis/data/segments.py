@@ -14,7 +14,7 @@ SHORTEST_S = 8.0
 REQUIREMENT = (
     f"at least {SHORTEST_S:g} s in all, in stretches of 2 s or more (better one), with gaps of at most 1 s inside"
 )
-"""What a recording needs, in words."""
+"""Requirement on a recording, in words."""
 _LENGTHS_S = (8.0, 4.0, 2.0)  # shorter segments are used only where the longer ones do not make up enough (choice)
 _LEAST_GAP_S, _LEAST_STEPS = 0.02, 5.0  # a step longer than both is a gap; shorter ones are interpolated (choice)
 _LONGEST_FILLED_S = 1.0  # as long as a mode of 5 Hz and 3 % damping remembers (derived)

@@ -36,9 +36,9 @@ class Column:
     """Derivative of an expectation with respect to one parameter; None where it is nothing."""
 
     power: Floats | None = None
-    """Of the accelerations' covariance, whitened and packed."""
+    """Derivative of the accelerations' covariance, whitened and packed."""
     mean: Floats | None = None
-    """Of their residual, whitened and packed."""
+    """Derivative of their residual, whitened and packed."""
     toe: Floats | None = None
     toe_variance: Floats | None = None
     rest: Floats | None = None
