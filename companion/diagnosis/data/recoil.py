@@ -24,7 +24,8 @@ _BAND = 0.2  # of the first mode's frequency, to either side: most of the mode's
 # least share of the root's power that the fit explains; with less another mode takes part (choice)
 _COHERENT = 0.95
 _PASSES = 3  # chosen: linear fits in the delay, each about the last: a small delay converges at once
-_WINDOW_SHARE = 1.5  # equivalent noise bandwidth of a Hann window, bins (derived)
+# derived: bins of a Hann window for each independent product of two transforms, n sum w^4 / (sum w^2)^2
+_BINS_PER_INDEPENDENT = 35.0 / 18.0
 _FEWEST_BINS = 12  # in the band, for three real numbers and their error (choice)
 
 
@@ -66,7 +67,7 @@ def recoil_delay(tips_mps2: Floats, root_mps2: Floats, rate_hz: float, airframe:
     left = float(np.sum((wanted - table @ weights) ** 2))
     if left > (1.0 - _COHERENT) * float(wanted @ wanted):
         return None
-    scatter = left / (len(wanted) - len(weights)) * _WINDOW_SHARE
+    scatter = left / (len(wanted) - len(weights)) * _BINS_PER_INDEPENDENT
     chance_s = math.sqrt(scatter * float(np.linalg.inv(table.T @ table)[2, 2])) / abs(float(weights[0]))
     turned_s = 2.0 * mode.damping.sigma * abs(float(weights[1] / weights[0])) / (2.0 * math.pi * first_hz)
     return RecoilDelay(first_hz, delay_s, math.hypot(chance_s, turned_s, airframe.root.time_offset_sigma_s))
