@@ -12,12 +12,15 @@ looks ahead, never for the trim bend of one that looks down.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 
+from companion.params.airframe import Airframe
+from companion.units import Orientation
 from mission_scripts.common.airframe_advice import advise, baseline_m
 from mission_scripts.common.convergence import Group, estimate, group
 from mission_scripts.common.flight import Flight
@@ -71,6 +74,7 @@ def calibrate(flight: Flight) -> Exit:
         base_m = baseline_m(flight.airframe)
     except ValueError as error:
         raise Refused(str(error)) from error
+    _need_view(flight.airframe, flight.options)
     flight.need_ranges()
     gather = _still if flight.options.still is not None else _mark if flight.options.mark is not None else _ground
     groups = gather(flight)
@@ -83,6 +87,17 @@ def calibrate(flight: Flight) -> Exit:
         flight.say(f"nowhere {_LEAST} trusted ranges: nothing to calibrate with")
         return Exit.NOTHING
     return _conclude(flight, groups, base_m)
+
+
+def _need_view(airframe: Airframe, options: argparse.Namespace) -> None:
+    """Refuse a target that the pair does not look at: its ranges would be held against a distance to something else."""
+    targets = (("ground", Orientation.DOWN, "down", "mark"), ("mark", Orientation.FORWARD, "ahead", "ground"))
+    for option, needed, where, other in targets:
+        if getattr(options, option) is not None and airframe.orientation != needed:
+            raise Refused(
+                f"--{option} needs a pair that looks {where} (orientation {needed:d}), airframe '{airframe.name}' has "
+                f"orientation {airframe.orientation}: give --{other} or --still"
+            )
 
 
 def _conclude(flight: Flight, groups: list[Group], base_m: float) -> Exit:

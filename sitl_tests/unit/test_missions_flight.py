@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from companion.params.files import load_airframe
 from mission_scripts import calibrate_target, landing_approach, obstacle_pass
 from mission_scripts.common.flight import Flight, Track
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
@@ -129,6 +130,16 @@ def test_something_near_ahead_ends_the_flight_on_every_item(item: int) -> None:
     with pytest.raises(Aborted, match="least 30 m") as caught:
         ahead.check()
     assert caught.value.response is Response.RETURN
+
+
+@pytest.mark.parametrize(("name", "options"), [("forward-2m", {"ground": 0.0}), ("nadir-2m", {"mark": HERE})])
+def test_a_target_that_the_pair_does_not_look_at_is_refused(name: str, options: dict[str, object]) -> None:
+    """Ranges ahead held against the height over ground would write a mounting that the cameras do not have."""
+    watch: Any = types.SimpleNamespace(newest_range=lambda: pytest.fail("no range is waited for"))
+    chosen = types.SimpleNamespace(**{"ground": None, "still": None, "mark": None, **options})
+    flight: Any = types.SimpleNamespace(airframe=load_airframe(name), options=chosen, watch=watch)
+    with pytest.raises(Refused, match=rf"--{next(iter(options))} needs a pair that looks .* '{name}'"):
+        calibrate_target.calibrate(flight)
 
 
 def test_a_turn_needs_room_before_the_mark() -> None:
