@@ -55,17 +55,26 @@ def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float])
     Returns
     -------
     list of AmbientMode
-        By frequency; those that the whole record and at least half of its blocks show.
+        By frequency; those that the whole record and at least half of its blocks show. A pole of a block counts for one
+        mode alone: where the whole record splits what each block shows as one, that one is the mean of the blocks.
     """
     record_poles = _poles(samples, rate_hz, band_hz)
     blocks = [_poles(block, rate_hz, band_hz) for block in np.array_split(samples, _BLOCKS)]
+    claimed: list[list[Floats]] = [[] for _ in record_poles]
+    for block in blocks:
+        for mode, pole in _pairs(record_poles, block):
+            claimed[mode].append(pole)
+    modes_held = [mode for mode, poles in enumerate(claimed) if len(poles) >= 0.5 * _BLOCKS]
     modes = []
-    for frequency, damping in record_poles:
-        near = [_nearest(block, frequency) for block in blocks]
-        block_poles = np.array([each for each in near if each is not None])
-        if len(block_poles) >= 0.5 * _BLOCKS:
-            spread = block_poles.std(axis=0, ddof=1) / np.sqrt(len(block_poles))
-            modes.append(AmbientMode(frequency, float(spread[0]), damping, float(spread[1]), len(block_poles)))
+    for mode in modes_held:
+        poles = np.array(claimed[mode])
+        near = [other for other, pole in enumerate(record_poles) if _is_near(pole, record_poles[mode])]
+        is_split = any(
+            other not in modes_held and _nearest_of(modes_held, record_poles, other) == mode for other in near
+        )
+        value = poles.mean(axis=0) if is_split else record_poles[mode]
+        spread = poles.std(axis=0, ddof=1) / np.sqrt(len(poles))
+        modes.append(AmbientMode(float(value[0]), float(spread[0]), float(value[1]), float(spread[1]), len(poles)))
     return modes
 
 
@@ -95,8 +104,29 @@ def _poles(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> Flo
     return np.array(poles, dtype=np.float64).reshape(-1, 2)
 
 
-def _nearest(poles: Floats, frequency_hz: float) -> Floats | None:
-    if not len(poles):
-        return None
-    best = poles[np.argmin(np.abs(poles[:, 0] - frequency_hz))]
-    return best if abs(best[0] - frequency_hz) < _NEAR * frequency_hz else None
+def _pairs(record_poles: Floats, block_poles: Floats) -> list[tuple[int, Floats]]:
+    """Modes of the record with the pole of a block that is theirs, each at most once, the nearest pairs first."""
+    near = [
+        (_distance(record, block), mode, at)
+        for mode, record in enumerate(record_poles)
+        for at, block in enumerate(block_poles)
+        if _is_near(block, record)
+    ]
+    pairs: dict[int, int] = {}
+    for _, mode, at in sorted(near):
+        if mode not in pairs and at not in pairs.values():
+            pairs[mode] = at
+    return [(mode, block_poles[at]) for mode, at in pairs.items()]
+
+
+def _is_near(pole: Floats, record_pole: Floats) -> bool:
+    return bool(abs(pole[0] - record_pole[0]) < _NEAR * record_pole[0])
+
+
+def _distance(first: Floats, second: Floats) -> float:
+    """Distance of two poles (frequency, damping ratio) in the complex plane over their frequency."""
+    return float(np.hypot(first[0] / second[0] - 1.0, first[1] - second[1]))
+
+
+def _nearest_of(modes: list[int], poles: Floats, other: int) -> int:
+    return min(modes, key=lambda mode: _distance(poles[other], poles[mode]))
