@@ -15,6 +15,7 @@ class CorrectedRange:
 
     ``toe_rad`` is the relative rotation that was taken out (positive: axes diverge, the raw range reads short);
     ``rigid_range_m`` is what the ground calibration alone would have said (0 where it has no finite answer).
+    ``range_m`` is 0 where the pair has no finite answer, ``toe_sigma_rad`` where it had too little to correct at all.
     """
 
     pair_id: int

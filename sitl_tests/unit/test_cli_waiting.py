@@ -12,7 +12,7 @@ import pytest
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View
 from companion.cli.terminal.waiting import FIRST_REPEAT_S, LONGEST_REPEAT_S, RepeatPause, waiting_text
-from companion.records import Health, Record, ServiceStatus
+from companion.records import CorrectedRange, Health, Record, Reject, ServiceStatus
 
 BOOT = ServiceStatus(1, Health.BOOT, "waiting for boot, node_left, node_right clock", {})
 LOOK_S = 0.25
@@ -84,6 +84,15 @@ def test_the_view_shows_what_is_waited_for_and_nothing_else() -> None:
 def test_a_view_with_a_progress_of_its_own_waits_for_nobody() -> None:
     view = View("spanwise demo", progress="3 of 60 s")
     assert view.line(1.0) == "3 of 60 s  state starting"
+
+
+def test_a_pair_without_a_range_shows_why_and_no_figures() -> None:
+    view = View("spanwise demo", progress="3 of 60 s")
+    view.take(CorrectedRange(1, 1, 1, 25, 0.0, 200.0, 0.0, 0.0, 0.0, 3, False, Reject.NO_MATCHES))
+    assert "range none: too few matches | ranges 0 published" in view.line(1.0)
+    assert "0.00" not in view.line(1.0)
+    view.take(CorrectedRange(2, 2, 2, 25, 60.0, 9.0, 0.004, 0.001, 52.0, 30, False, Reject.SIGMA_TOO_LARGE))
+    assert "range  60.00 ±9.00 m" in view.line(1.0)
 
 
 class Unheard:

@@ -145,6 +145,8 @@ def _ranges(counts: Mapping[str, int]) -> str:
 
 
 def _range(measured: CorrectedRange) -> str:
+    if measured.range_m <= 0.0:  # the record's way to say that there is none
+        return f"none: {measured.reject}"
     rigid = f"{measured.rigid_range_m:.1f} m" if measured.rigid_range_m > 0 else "beyond infinity"
     trust = "" if measured.trusted else f"  not published: {measured.reject}"
     return (
