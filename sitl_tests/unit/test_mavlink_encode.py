@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -223,3 +224,13 @@ def test_the_last_gate_stops_any_message_with_a_bad_number(bad: float) -> None:
     assert not encode.sendable(command)
     assert not encode.sendable(points)
     assert encode.sendable(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 0, 0, 0, 1.5, 0, 0, 0))
+
+
+def test_a_pair_that_told_nothing_draws_no_graph() -> None:
+    """A zero, and a sigma as large as the largest range, would be drawn as values."""
+    complete = CorrectedRange(1, 1, 10**9, 25, 42.0, 0.1, 0.0, 1e-4, 40.0, 50, True, None)
+    names = {"rng_sig_m": "range_m", "toe_mrad": "toe_sigma_rad", "rigid_m": "rigid_range_m"}
+    assert [message.name for message in encode.range_graphs(complete, 7)] == list(names)
+    for name, value in names.items():
+        drawn = encode.range_graphs(dataclasses.replace(complete, **{value: 0.0}), 7)
+        assert [message.name for message in drawn] == [other for other in names if other != name]

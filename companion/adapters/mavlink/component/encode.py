@@ -181,9 +181,14 @@ def range_graphs(record: CorrectedRange, time_boot_ms: int) -> list[Any | None]:
     """NAMED_VALUE_FLOAT of a range's sigma (m), the correction's toe (mrad) and the range without it (m).
 
     Those of an untrusted range go out too: they are graphs for an eye that looks for the reason, and not the range.
+    What the pair did not tell (too few matches, no finite answer) is left out: a zero would be drawn as a value.
     """
-    values = (("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m))
-    return [named_value(name, value, time_boot_ms) for name, value in values]
+    values = (
+        ("rng_sig_m", record.sigma_m, record.range_m != 0.0),
+        ("toe_mrad", record.toe_rad * 1e3, record.toe_sigma_rad != 0.0),
+        ("rigid_m", record.rigid_range_m, record.rigid_range_m != 0.0),
+    )
+    return [named_value(name, value, time_boot_ms) for name, value, is_told in values if is_told]
 
 
 def mode_graphs(record: ModeState, time_boot_ms: int) -> list[Any | None]:
