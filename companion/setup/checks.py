@@ -16,6 +16,8 @@ from companion.setup.tree import Tree
 GROUPS = ("dialout", "gpio", "video", "plugdev")
 _PYTHON = (3, 11)  # convention: the oldest that the package takes (pyproject.toml)
 _DISK_GB = 2.0  # a flight's recordings, for a start (choice)
+_PRIVATE = ("/tmp", "/var/tmp")  # by definition of PrivateTmp in config/system/spanwise.service
+_READABLE = "put it where every user may read, as /etc/spanwise/wing.toml, and name that with --airframe"
 _MEMORY_GB = 1.5  # the service with its reserve, beside the system (choice)
 
 
@@ -42,14 +44,16 @@ def airframe_check(tree: Tree, airframe: str) -> SystemCheck:
     """Whether the service's own user can read the airframe; a file of it may be made later."""
     if not Path(airframe).suffix:
         return SystemCheck("airframe", f"{airframe}, one that is supplied")
+    if any(Path(airframe).is_relative_to(folder) for folder in _PRIVATE):
+        figure = f"{airframe}: the service has folders of its own in the place of {' and '.join(_PRIVATE)}"
+        return SystemCheck("airframe", figure, _READABLE)
     path = tree.root / airframe.lstrip("/")
     inside = [*reversed(path.parents), *reversed(path.resolve().parents), path]
     for place in (place for place in inside if place.is_relative_to(tree.root)):
         if not place.exists():
             return SystemCheck("airframe", f"{airframe}: not there yet")
         if not (_is_open(place) if place.is_dir() else place.stat().st_mode & stat.S_IROTH):
-            remedy = "put it where every user may read, as /etc/spanwise/wing.toml, and name that with --airframe"
-            return SystemCheck("airframe", f"{airframe}: {place} is closed to other users", remedy)
+            return SystemCheck("airframe", f"{airframe}: {place} is closed to other users", _READABLE)
     return SystemCheck("airframe", airframe)
 
 

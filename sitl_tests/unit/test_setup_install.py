@@ -317,6 +317,17 @@ def test_an_airframe_that_the_service_s_user_cannot_read_is_to_be_mended(
     assert (f"/home/pi/wing.toml: {closed} is closed to other users" in capsys.readouterr().out) is (code == 4)
 
 
+@pytest.mark.parametrize("folder", ["/tmp", "/var/tmp"])
+def test_an_airframe_that_the_service_has_no_sight_of_is_to_be_mended(
+    pi5: Path, folder: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever wrote the file there may read it; PrivateTmp puts another folder in its place for the service."""
+    write(pi5, f"{folder}/wing.toml", "", 0o644)
+    assert setup(pi5, "--airframe", f"{folder}/wing.toml") == 4
+    assert "PrivateTmp=yes" in (pi5 / UNIT).read_text()
+    assert f"{folder}/wing.toml: the service has folders of its own" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
