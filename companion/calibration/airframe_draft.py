@@ -30,6 +30,10 @@ _FOCAL_SPREAD = 0.02  # of the focal length: data sheets against calibrations (c
 _TRUST = 0.03
 """sigma / range above which no range is trusted by default (RNG_TRUST; convention)."""
 
+_TRIM_FLIGHT = """The largest slow error of all:
+# fly level over ground of known height once (python -m mission_scripts.calibrate_target), write what it says"""
+_ROLLED = """A pair that looks ahead sees
+# it as roll, which matched features hold; the largest slow error is how its cameras are turned (rotation_rad)"""
 _AXES = {"down": '["y", "-x", "z"]', "forward": '["y", "z", "x"]'}
 _ORIENTATION = {"down": int(Orientation.DOWN), "forward": int(Orientation.FORWARD), "none": int(Orientation.DOWN)}
 
@@ -89,9 +93,15 @@ def tip_trim_bend_m(measured: Measured) -> float:
 
 
 def trusted_to_m(measured: Measured) -> float:
-    """Range at which the trim bend's sigma alone uses up the trusted share of the range, matches not counted."""
+    """Range at which the largest slow error of the toe alone uses up the trusted share, matches not counted.
+
+    A pair that looks down sees the trim bend as toe. One that looks ahead sees it as roll; there it is the mounting.
+    """
     slope_radpm = _slope_times_semispan(measured) / measured.semispan_m
-    toe_sigma_rad = 2.0 * slope_radpm * _relative_sigma(measured) * trim_bend_m(measured)
+    if measured.looks == "forward":
+        toe_sigma_rad = math.sqrt(2.0) * _MOUNT_SIGMA_RAD
+    else:
+        toe_sigma_rad = 2.0 * slope_radpm * _relative_sigma(measured) * trim_bend_m(measured)
     return _TRUST * 2.0 * measured.station_y_m / toe_sigma_rad
 
 
@@ -160,8 +170,7 @@ semispan_m = {m.semispan_m!r}
 # of it {_static_share(m):.3f} at {eta} semispan, where the node sits;
 # sigma {percent} for taper and the shape of the lift, and twice the frequency's
 bend_per_g_m = {_uncertain(per_g, spread * per_g)}
-# the same at 1 g, {droop}. The largest slow error of all:
-# fly level over ground of known height once (python -m mission_scripts.calibrate_target), write what it says
+# the same at 1 g, {droop}. {_slow_error(m)}
 trim_bend_m = {_uncertain(trim, spread * trim)}
 
 [wing.symmetric]
@@ -178,6 +187,10 @@ slope_factor_radpm = {_uncertain(slope, _SLOPE_SPREAD * slope)}
 deflection_rms_m = {_uncertain(gust, _GUST_SPREAD * gust)}  # a third of what 1 g bends
 corners_hz = [2.0, 20.0]
 """
+
+
+def _slow_error(m: Measured) -> str:
+    return _ROLLED if m.looks == "forward" else _TRIM_FLIGHT
 
 
 def _root(m: Measured) -> str:
@@ -219,10 +232,15 @@ focal_px = {_uncertain(m.focal_px, _FOCAL_SPREAD * m.focal_px)}  # data sheet
 principal_px = [{0.5 * (m.width_px - 1)!r}, {0.5 * (m.height_px - 1)!r}]
 position_m = [0.0, {y_m!r}, 0.0]
 axes = {_AXES[m.looks]}  # body directions of camera x (right), y (down), z (forward)
+rotation_rad = [0.0, 0.0, 0.0]  # of the camera from these axes, right-handed about its x, y, z: {_turns(m)}
 rotation_sigma_rad = {_MOUNT_SIGMA_RAD}  # mounted by eye
 exposure_s = 0.002
 latency_s = {{ value = 0.008, sigma = 0.004 }}  # trigger command to start of exposure; learned in flight
 """
+
+
+def _turns(m: Measured) -> str:
+    return "x > 0 looks up" if m.looks == "forward" else "x > 0 looks ahead of straight down"
 
 
 def _uncertain(value: float, sigma: float) -> str:

@@ -238,10 +238,11 @@ def _next(measured: Measured, out: Path) -> str:
         (f"spanwise run --connect LINK --airframe {out}", "lift both tips by hand: symmetric bending must follow"),
     ]
     if measured.looks != "none":
+        slow = "the toe, at a mark ahead" if measured.looks == "forward" else "the trim bend"
         limit = f"until then some {trusted_to_m(measured):.1f} m is the farthest trusted without matched features"
         steps += [
             ("spanwise calibrate stereo --help", "lens and mounting, each with its sigma"),
-            ("python -m mission_scripts.calibrate_target --help", f"in a checkout of Spanwise: the trim bend; {limit}"),
+            ("python -m mission_scripts.calibrate_target --help", f"in a checkout of Spanwise: {slow}; {limit}"),
         ]
     lines = [f"  {command}\n      {purpose}" for command, purpose in steps]
     bends = f"by beam theory the nodes rise {trim_mm:.1f} mm in level flight and {per_g_mm:.1f} mm for each further g"

@@ -63,7 +63,8 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
             "the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"
         ),
         NextStep(
-            "trim flight, from a checkout of Spanwise (no wheel has missions): the bend of level flight",
+            "trim flight, from a checkout of Spanwise (no wheel has missions): the bend of level flight; of a pair "
+            "that looks ahead the toe, with --mark LAT,LON for --ground 0",
             f"python -m mission_scripts.calibrate_target --connect {mission} --airframe {choices.airframe} --ground 0",
         ),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import tempfile
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from companion.cli.main import main
 from companion.core.pipeline import start
+from companion.core.stereo.geometry import Rig
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -55,6 +57,34 @@ def test_the_file_says_what_was_measured(tmp_path: Path) -> None:
     assert airframe.left_camera.focal_px.value == 800.0
     assert airframe.left_camera.axes == load_airframe("forward-2m").left_camera.axes  # type: ignore[union-attr]
     assert [station.position_m[1] for station in (airframe.left, airframe.right)] == [-0.9, 0.9]
+
+
+@pytest.mark.parametrize(
+    ("looks", "words", "axis_body"),
+    [("forward", "x > 0 looks up", (np.cos(0.1), 0.0, -np.sin(0.1))),
+     ("down", "x > 0 looks ahead of straight down", (np.sin(0.1), 0.0, np.cos(0.1)))],
+)  # fmt: skip
+def test_the_file_says_which_way_a_camera_turns(
+    tmp_path: Path, looks: str, words: str, axis_body: tuple[float, float, float]
+) -> None:
+    """Body axes: x forward, z down."""
+    airframe = made(tmp_path, {"--looks": looks})
+    assert (tmp_path / "mine.toml").read_text().count(words) == 2
+    turned = dataclasses.replace(airframe.left_camera, rotation_rad=(0.1, 0.0, 0.0))  # type: ignore[type-var]
+    rig = Rig.from_airframe(dataclasses.replace(airframe, left_camera=turned))
+    assert rig.left.rest.camera_from_body[2] == pytest.approx(axis_body)
+
+
+def test_a_pair_that_looks_ahead_is_not_sent_over_the_ground_for_its_trim_bend(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bend rolls it; its toe is that of two mountings of 10 mrad: 3 % of Z are Z^2/B sqrt(2) 0.01 at 3.8 m."""
+    assert main(command(tmp_path / "mine.toml", {"--looks": "forward", "--station-y-m": "0.9"})) == 0
+    said = capsys.readouterr().out
+    assert "calibrate_target" in said
+    assert "--ground" not in (tmp_path / "mine.toml").read_text()
+    assert "the trim bend" not in said
+    assert f"some {0.03 * 1.8 / (math.sqrt(2.0) * 0.01):.1f} m is the farthest trusted without matched features" in said
 
 
 def test_the_bend_is_that_of_a_beam_by_its_differential_equation(tmp_path: Path) -> None:
