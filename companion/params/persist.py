@@ -46,6 +46,8 @@ def load_stored(path: Path) -> Stored:
             return _checked(_parse(candidate), candidate, problems)
         except FileNotFoundError:
             break
+        except UnicodeDecodeError as error:
+            problems.append(f"{candidate}: is not text in UTF-8 (byte {error.start}), so no parameter file; not used")
         except (OSError, ValueError) as error:
             problems.append(f"{candidate}: {error}; not used")
     return Stored({}, tuple(problems))

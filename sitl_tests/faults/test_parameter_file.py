@@ -53,9 +53,16 @@ def test_every_damaged_byte_and_every_cut_is_seen_and_the_last_good_file_taken(t
         path.write_bytes(good[:at] + bytes([good[at] ^ 0x41]) + good[at + 1 :])
         stored = load_stored(path)
         assert stored.values == FIRST, at
-        assert "damaged" in stored.problems[0] or "utf-8" in stored.problems[0]
+        assert "damaged" in stored.problems[0] or "is not text in UTF-8" in stored.problems[0]
         path.write_bytes(good[:at])
         assert load_stored(path).values == FIRST
+
+
+def test_a_file_that_is_no_text_is_told_without_a_codec(tmp_path: Path) -> None:
+    path = tmp_path / "p"
+    path.write_bytes(b"\xa4\x00 rubbish")
+    (problem,) = load_stored(path).problems
+    assert problem == f"{path}: is not text in UTF-8 (byte 0), so no parameter file; not used"
 
 
 def test_a_damaged_file_never_replaces_the_last_good_one(tmp_path: Path) -> None:
