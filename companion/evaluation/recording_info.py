@@ -22,11 +22,13 @@ AT_THE_END = "after the last sample (the recording's end)"
 class StreamInfo:
     """One inertial sensor's samples, gathered batch by batch.
 
-    ``first_ns`` and ``last_ns`` are stamps on the sensor's own clock; ``axes`` were measured.
+    ``earliest_ns`` and ``latest_ns``, and ``last_ns`` of the last sample, are stamps on the sensor's own clock;
+    ``axes`` were measured.
     """
 
     samples: int = 0
-    first_ns: int = 0
+    earliest_ns: int = 0
+    latest_ns: int = 0
     last_ns: int = 0
     axes: Axis = Axis.NONE
     _steps_ns: list[Ints] = field(default_factory=list)
@@ -37,8 +39,9 @@ class StreamInfo:
             return
         stamps = batch.t_ns if not self.samples else np.concatenate(([self.last_ns], batch.t_ns))
         self._steps_ns.append(np.diff(stamps))
-        if not self.samples:
-            self.first_ns = int(batch.t_ns[0])
+        earliest_ns, latest_ns = int(batch.t_ns.min()), int(batch.t_ns.max())
+        self.earliest_ns = min(self.earliest_ns, earliest_ns) if self.samples else earliest_ns
+        self.latest_ns = max(self.latest_ns, latest_ns) if self.samples else latest_ns
         self.last_ns = int(batch.t_ns[-1])
         self.samples += int(batch.t_ns.size)
         self.axes |= batch.axes
@@ -97,8 +100,8 @@ class RecordingInfo:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last inertial sample, on the sensors' own clocks."""
-        spans = [stream.last_ns - stream.first_ns for stream in self.streams.values()]
+        """Time from the earliest to the latest inertial sample, on the sensors' own clocks."""
+        spans = [stream.latest_ns - stream.earliest_ns for stream in self.streams.values()]
         return max(spans, default=0) * 1e-9
 
 

@@ -119,6 +119,14 @@ def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
     assert stream.gaps() == (0, 0.0)
 
 
+def test_stamps_that_go_back_last_no_negative_time() -> None:
+    info = RecordingInfo()
+    stamps_ns = [np.array([0, -1_000_000_000]), np.array([-2_000_000_000, -500_000_000])]
+    for t_ns in stamps_ns:
+        info.add(ImuBatch(Station.LEFT, ClockName.HOST, t_ns, np.zeros((2, 6)), Axis.Z, 0))
+    assert info.duration_s == pytest.approx(2.0)
+
+
 def test_samples_that_are_recorded_as_bytes_and_as_records_count_once(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     service = SimulatedService(build_flight(AIRFRAME, 1, 4.0), recording=path)

@@ -192,3 +192,11 @@ def test_what_is_no_tlog_is_refused_in_words(tmp_path: Path) -> None:
         open_recording(tmp_path / "a.tlog", load_airframe("nadir-2m"))
     with pytest.raises(RecordingError, match="give its airframe"):
         open_recording(tmp_path / "a.tlog")
+
+
+def test_what_is_no_tlog_is_called_so_before_the_airframe_is_looked_at(tmp_path: Path) -> None:
+    """The demo's airframe has nodes with clocks of their own, which no tlog could hold."""
+    path = tmp_path / "rubbish.tlog"
+    path.write_bytes(np.random.default_rng(1).bytes(20_000))
+    with pytest.raises(RecordingError, match="not a tlog"):
+        TlogRecording(path, load_airframe("nadir-2m"))

@@ -49,6 +49,8 @@ class TlogRecording(LoggedRecording):
         super().__init__(path, airframe, ClockName.BOOT)
         self._data = path.read_bytes()
         self.read_share = 0.0
+        if next(self.chunks(), None) is None:
+            raise RecordingError(f"{path}: no MAVLink frame with a receive time in it: not a tlog, or empty")
         foreign = [s.name.lower() for s in Station if airframe.sensor(s).source.clock is not ClockName.BOOT]
         if foreign:
             raise RecordingError(
@@ -57,8 +59,6 @@ class TlogRecording(LoggedRecording):
                 "that Spanwise recorded on this flight; or, where the autopilot's own sensors are meant, an airframe "
                 "with nothing but them, such as --airframe sitl-plane"
             )
-        if next(self.chunks(), None) is None:
-            raise RecordingError(f"{path}: no MAVLink frame with a receive time in it: not a tlog, or empty")
 
     def chunks(self) -> Iterator[RawChunk]:
         """The frames without their stamps, about 20 ms in one chunk; ``received_host_ns`` is the UTC receive time."""
