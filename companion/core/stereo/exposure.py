@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,12 +27,15 @@ class CameraExposure:
         Velocity of the camera by the rigid body rate alone (rate x place).
     after_s : float
         Time of the mid-exposure after the instant midway, s.
+    path_mps : (3,) float64
+        Velocity of the camera by flight and the wing's lift, which moves it from row to row of a rolling shutter.
     """
 
     pose: Pose
     rate_radps: Floats
     velocity_mps: Floats
     after_s: float = 0.0
+    path_mps: Floats = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +77,7 @@ def exposures(
     left, right : Deflection
         The wing at the left and at the right mid-exposure.
     velocity_mps : (3,) float64, optional
-        The aircraft's velocity in body axes, which moves the cameras between the two exposures.
+        The aircraft's velocity in body axes, which moves the cameras between the two exposures and from row to row.
     """
     middle_ns = (left.t_host_ns + right.t_host_ns) // 2
     drift = np.zeros(3) if velocity_mps is None else velocity_mps
@@ -94,11 +97,8 @@ def with_relative_rotation(
     """
     halves = (-0.5 * rotation_rad, 0.5 * rotation_rad)
     left, right = (
-        CameraExposure(
-            Pose(exposure.pose.camera_from_body @ exp_rotation(-half), exposure.pose.position_body_m),
-            exposure.rate_radps,
-            exposure.velocity_mps,
-            exposure.after_s,
+        replace(
+            exposure, pose=Pose(exposure.pose.camera_from_body @ exp_rotation(-half), exposure.pose.position_body_m)
         )
         for exposure, half in zip(pair, halves, strict=True)
     )
@@ -145,4 +145,5 @@ def _exposure(
         float((signs * tips.slope_radpm) @ bend.qdot_mps), float((signs * tips.twist_radpm) @ bend.qdot_mps)
     )
     lever = np.cross(bend.body_rate_radps, moved.position_body_m)
-    return CameraExposure(moved, bend.body_rate_radps + wing_rate, lever, after_s)
+    lift_mps = np.array([0.0, 0.0, -camera.lift_gain * float(signs @ bend.qdot_mps)])
+    return CameraExposure(moved, bend.body_rate_radps + wing_rate, lever, after_s, drift_mps + lift_mps)

@@ -141,7 +141,7 @@ def _rays(camera: MountedCamera, exposure: CameraExposure, pixels: Floats, row_t
     middle_row = 0.5 * (camera.lens.size_px[1] - 1)
     after_s = 1e-9 * row_time_ns * (pixels[:, 1] - middle_row)
     directions = camera.rays(exposure.pose, pixels)
-    origins = exposure.pose.position_body_m + after_s[:, np.newaxis] * exposure.velocity_mps
+    origins = exposure.pose.position_body_m + after_s[:, np.newaxis] * (exposure.velocity_mps + exposure.path_mps)
     if row_time_ns == 0:
         return origins, directions
     turned = exp_rotation(after_s[:, np.newaxis] * exposure.rate_radps)
