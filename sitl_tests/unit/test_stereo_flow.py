@@ -232,15 +232,20 @@ def test_the_filter_predicts_the_flow_with_the_velocity_that_it_knows(monkeypatc
 
 
 def test_doubt_of_the_calibration_ends_and_needs_features() -> None:
-    """A velocity that is wrong from the start by a third contradicts every pair; one without features, none."""
+    """A velocity that is wrong from the start by a third contradicts every pair; one without features, none.
+
+    A flow is refused from four sigma on: the calibration is doubted until that is ten of those stated, in steps of two
+    in variance. Until then nobody knows which of both is wrong.
+    """
     filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
     few = _view(faster_mps=8.0)
     few = dataclasses.replace(few, earlier=np.full_like(few.earlier, np.nan))
     filtered._flown(_before(1e-5), few, NO_BEND, 0)
     assert filtered.lens_ratio == 1.0
-    for _ in range(40):
-        filtered._flown(_before(1e-5), _view(faster_mps=8.0), NO_BEND, 0)
-    assert 50.0 < filtered.lens_ratio < 300.0
+    contradictions = [filtered._flown(_before(1e-5), _view(faster_mps=8.0), NO_BEND, 0)[1] for _ in range(40)]
+    assert (10.0 / 4.0) ** 2 <= filtered.lens_ratio < 2.0 * (10.0 / 4.0) ** 2
+    assert contradictions == [True] * 3 + [False] * 37
+    assert filtered.doubted_in_vain
 
 
 def test_few_features_are_no_contradiction_after_a_flow_that_agreed() -> None:

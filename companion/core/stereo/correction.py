@@ -40,6 +40,7 @@ from companion.units import Severity
 _CONFIRMING_FLOW = 40  # features of a pair whose flow measures its toe well (choice; over fields there are 160)
 _AHEAD_NS = 50_000_000  # choice: an exposure stamped so far in the future has a wrong stamp
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it (choice)
+_LEFT_ASIDE = "the view moves unlike the velocity told (moving surface, wrong velocity?): else calibrate the cameras"
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 # of variances: one of 5,000 good calibrations looks so old (choice; chi-square of four terms)
@@ -161,14 +162,14 @@ class Correction:
             yield answer.sectors
 
     def _worn_lenses(self, now_host_ns: int) -> Iterator[Notice]:
-        """Notice, once, that the lenses are worse than their calibration states."""
-        ratio = self.drift_filter.lens_ratio
-        if ratio > _WORN_RATIO and not self._worn_told:
+        """Notice, once, that the lenses are worse than their calibration states, or that the flow contradicts them."""
+        ratio, undecided = self.drift_filter.lens_ratio, self.drift_filter.flow_contradicts
+        if ratio > _WORN_RATIO and not self._worn_told and not undecided:
             self._worn_told = True
             times = float(np.sqrt(ratio))
-            yield Notice(
-                Severity.WARNING, f"lenses are off by {times:.0f} times their sigma: calibrate the cameras", now_host_ns
-            )
+            lenses = f"lenses are off by {times:.0f} times their sigma: calibrate the cameras"
+            text = _LEFT_ASIDE if self.drift_filter.flow_left_aside else lenses
+            yield Notice(Severity.WARNING, text, now_host_ns)
 
     def _judged(self, measured: CorrectedRange, lasting_m: float, *, toe_confirmed: bool) -> CorrectedRange:
         """The range after :class:`RangeGate`, which predicts it by the newest climb rate."""

@@ -53,7 +53,9 @@ from companion.records import Floats, Reject
 
 _CLEARLY_WORSE = 1.5  # ratio of variances that good lenses exceed in one flight of eight (choice)
 _DOUBT = 2.0  # factor of variance by each pair whose flow contradicts: from eight sigma to four in two pairs (choice)
-_MOST_DOUBT = 100.0  # ratio of variances: a calibration ten sigma off is useless, or the velocity is wrong (choice)
+# ratio of variances, from the four sigma at which a flow is refused to ten (choice): a calibration wrong by more than
+# that is useless, or the velocity is wrong, or the surface moves (waves, a ship)
+_MOST_DOUBT = 6.25
 _MIN_MATCHES = 12  # three for a rotation, and three times as many to find outliers by (choice)
 # largest trace of SHIFT's covariance: a tenth of the baseline flown between the exposures (choice); more is singular
 _MAX_SHIFT_RAD2 = 0.01
@@ -84,7 +86,8 @@ class EpipolarUpdate:
     verdict : MatchVerdict
         Result of the test of the matches against the prediction.
     flow_contradicts : bool
-        Whether the pair's flow was refused within two seconds of a flow that was used.
+        Whether the pair's flow was refused within two seconds of a flow that was used, or while it makes the
+        calibration doubtful.
     """
 
     slow_rad: Floats
@@ -124,6 +127,8 @@ class EpipolarFilter:
         """Prior variance of the lens terms over the one that the calibration states."""
         self._updated_ns: int | None = None
         self._flow_used_ns: int | None = None
+        self.doubted_in_vain = False
+        """Whether the flow was refused from the start, even by a calibration that is doubted as far as it may be."""
         self._test = MatchTest()
         self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
 
@@ -227,7 +232,8 @@ class EpipolarFilter:
         """Posterior after the flow, and whether the flow contradicts within two seconds of one that was used.
 
         A flow that contradicts for longer means a velocity that has become wrong; it is not used. If no flow was ever
-        used, the keystone is wrong, which matches cannot tell from toe: each such pair doubles all variances.
+        used, the keystone may be wrong, which matches cannot tell from toe: each such pair doubles all variances, up to
+        :data:`_MOST_DOUBT`. A flow that contradicts even then is not used.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
         innovation = flow.without(answer.outlier).innovation(
@@ -244,11 +250,12 @@ class EpipolarFilter:
             used_ns = self._flow_used_ns
             if used_ns is not None:
                 return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
-            if self.lens_ratio > _MOST_DOUBT:
+            if self.lens_ratio >= _MOST_DOUBT:
+                self.doubted_in_vain = True
                 return answer, False
             self.lens_ratio *= _DOUBT
-            return replace(answer, covariance=_DOUBT * answer.covariance), False
-        self._flow_used_ns = t_host_ns
+            return replace(answer, covariance=_DOUBT * answer.covariance), True
+        self._flow_used_ns, self.doubted_in_vain = t_host_ns, False
         return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
     def _doubt_lenses(self) -> None:

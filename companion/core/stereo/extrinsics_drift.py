@@ -48,7 +48,7 @@ class ExtrinsicsDriftFilter:
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
         self.verdict = MatchVerdict.AGREE
         self.flow_contradicts = False
-        """Whether the last pair's flow contradicts the toe, within two seconds of a flow that was used."""
+        """Whether the last pair's flow contradicts the toe, within two seconds of a flow that was used or before any."""
         self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
         """Covariance (12, 12) of the last rotation returned and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf
@@ -68,6 +68,11 @@ class ExtrinsicsDriftFilter:
     def lens_ratio(self) -> float:
         """Variance of the lens residuals over the stated one, estimated from matches; at least 1."""
         return self._filter.lens_ratio
+
+    @property
+    def flow_left_aside(self) -> bool:
+        """Whether no flow has ever agreed, by far: its velocity, the surface or the calibration is wrong."""
+        return self._filter.doubted_in_vain
 
     def reopen(self) -> None:
         """Widen the rotation's variance: matches measure it anew from now on."""
