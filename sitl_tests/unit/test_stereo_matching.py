@@ -63,6 +63,28 @@ def test_matches_are_unbiased_and_their_sigma_is_honest(rig: Rig, airframe: Airf
     assert 0.6 < np.sqrt(np.mean((errors[:, 0] / matches.sigma_px) ** 2)) < 1.3
 
 
+class _Facade(TexturedPlane):
+    """Windows a metre and a half apart, three metres floor to floor, and hardly anything else."""
+
+    def shade(self, points_m: np.ndarray) -> np.ndarray:
+        """Brightness (n,) of points (n, 3): soft edges, and a tenth of the plane's own texture."""
+        inside = [
+            np.clip((0.3 - np.abs(np.mod(place_m / period_m, 1.0) - 0.5)) / 0.06, -1.0, 1.0)
+            for place_m, period_m in zip((points_m @ self.axes().T).T, (3.0, 1.5), strict=True)
+        ]
+        return 0.1 * super().shade(points_m) - np.minimum(*inside)
+
+
+@pytest.mark.parametrize("away_m", [80.0, 100.0, 105.0])
+def test_windows_at_the_edge_of_an_image_match_no_window_beside(away_m: float) -> None:
+    """The place that is as good lies outside of the right image, and one in it repeats it: false obstacles."""
+    ahead = load_airframe("forward-2m")
+    looking, facade = Rig.from_airframe(ahead), _Facade.facing((1, 0, 0), away_m, 800.0, seed=3, waves=30)
+    poses = _poses(looking)
+    matches = match(*_pair(looking, poses, facade), looking, trim_search(looking, ahead, SETTINGS))
+    assert np.count_nonzero(np.abs(_errors(looking, poses, facade, matches)).max(axis=1, initial=0.0) > 2.0) == 0
+
+
 @pytest.mark.slow
 def test_no_pixel_locking_whatever_the_fraction_of_a_pixel(rig: Rig) -> None:
     """Disparities with fractions 0, 1/4, 1/2, 3/4 px: the mean error hardly follows them, unlike bilinear tracking."""

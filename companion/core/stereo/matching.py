@@ -31,6 +31,9 @@ FINE_SCORE = 0.85
 """Least correlation of two patches of the same texture (choice)."""
 # 1 - correlation of the best place, plus a margin, must be below this share of that of any other place (choice)
 _UNIQUENESS = 0.8
+# share of the image's width beside the edge; texture that repeats at longer intervals has other features between (choice)
+_EDGE_SHARE = 0.125
+_SAME_PLACE_PX = 3.0  # at the coarse scale: two peaks this near are one (choice, as in search.py)
 _UNIQUE_MARGIN = 0.02  # margin for the noise of perfect matches (choice)
 # displacements left to right and back may differ by this: patches a fraction of a pixel apart on a slanted surface do
 # (choice)
@@ -84,6 +87,9 @@ def match(
     small = rectify_pair(frame, rig, left, right, level)
     coarse = seek(*small, left_rectified * 0.5**level, _scale(band, 0.5**level))
     distinct = _distinct(coarse.score, coarse.runner_up)
+    beside = np.flatnonzero(distinct & _beside_edge(band, frame, coarse.position_px / 0.5**level))
+    ends_px = left_rectified[beside] * 0.5**level, coarse.position_px[beside]
+    distinct[beside] = _distinct_back(small, *ends_px, search, frame, level)
     right_rectified = coarse.position_px[distinct] / 0.5**level
     start = frame.to_raw(rig.right, search.right, right_rectified)
     along = frame.along_rows(rig.right, search.right, right_rectified)
@@ -188,6 +194,30 @@ def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Fl
 def _distinct(score: Floats, runner_up: Floats) -> Bools:
     distinct: Bools = (score > _COARSE_SCORE) & (1.0 - score + _UNIQUE_MARGIN < _UNIQUENESS * (1.0 - runner_up))
     return distinct
+
+
+def _beside_edge(band: Band, frame: Rectification, found_px: Floats) -> Bools:
+    """Whether a place (n, 2) was found near an edge beyond which the band goes on, where the true place may be.
+
+    At an image's edge a row of windows matched one window too far: the place that is as good is not in the picture.
+    """
+    width, height = frame.size_px
+    near_px = _EDGE_SHARE * width
+    column, row = found_px.T
+    beside: Bools = (band.left < 0.0) & (column < near_px) | (band.right > width - 1.0) & (column > width - near_px)
+    beside |= (band.top < 0.0) & (row < near_px) | (band.bottom > height - 1.0) & (row > height - near_px)
+    return beside
+
+
+def _distinct_back(
+    small: tuple[Bytes, Bytes], left_px: Floats, right_px: Floats, search: Search, frame: Rectification, level: int
+) -> Bools:
+    """Whether places (n, 2) in the small right image are most like those of the small left one that led to them."""
+    band = bands(search, frame, right_px / 0.5**level, Side.RIGHT)
+    back = seek(small[1], small[0], right_px, _scale(band, 0.5**level))
+    returned_px = np.abs(back.position_px - left_px).max(axis=1)
+    alike: Bools = (returned_px < _SAME_PLACE_PX) & (back.score > back.runner_up + _UNIQUE_MARGIN)
+    return alike
 
 
 def _scale(band: Band, factor: float) -> Band:
