@@ -85,7 +85,7 @@ RANGES: dict[str, dict[str, Range]] = {
         "drift_time_s": Range(0.1, 1e9, "s", "how long the turn takes to drift"),
         "distortion": Range(-1000, 1000, "", "OpenCV's terms k1 k2 p1 p2 k3"),
         "exposure_s": Range(1e-7, 1, "s", "longer than that a wing is a blur"),
-        "row_time_s": Range(0, 0.01, "s", "from row to row, 0 for a global shutter"),
+        "row_time_s": Range(0, 2e-4, "s", "from row to row, not of the whole read-out; 0 for a global shutter"),
         "latency_s": Range(0, 1, "s", "from the trigger to the exposure", 1),
         "slope_gain": Range(-20, 20, "", "slope at the camera over that at the tip station"),
         "lift_gain": Range(-20, 20, "", "deflection at the camera over that at the tip station"),

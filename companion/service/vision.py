@@ -68,5 +68,6 @@ def _check_size(frame: Frame, state: VisionState) -> None:
         rows, columns = frame.image.shape
         raise DeviceError(
             f"{frame.side.name.lower()} camera gives {columns}x{rows} images; "
-            f"the airframe's calibration is for {width}x{height}"
+            f"the airframe's calibration is for {width}x{height}: set the camera to that size, or calibrate at its own "
+            "(spanwise calibrate stereo)"
         )

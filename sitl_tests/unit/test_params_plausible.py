@@ -62,6 +62,7 @@ def changed(section: str, key: str, value: str) -> str:
         ("left_camera", "axes", '["y", "x", "z"]', "right-handed"),
         ("left_camera", "axes", '["y", "y", "z"]', "'left_camera.axes'"),
         ("left_camera", "distortion", "[0.1]", "'left_camera.distortion' has 1 terms, not 5"),
+        ("left_camera", "row_time_s", "0.009", "from row to row, not of the whole read-out"),
         ("left_camera", "exposure_s", "0.0", "'left_camera.exposure_s' = 0 s is outside"),
         ("left_camera", "stamp_sigma_s", "0.0", "no clock is without error"),
     ],
