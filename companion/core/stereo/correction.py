@@ -163,7 +163,8 @@ class Correction:
 
     def _worn_lenses(self, now_host_ns: int) -> Iterator[Notice]:
         """Notice, once, that the lenses are worse than their calibration states, or that the flow contradicts them."""
-        ratio, undecided = self.drift_filter.lens_ratio, self.drift_filter.flow_contradicts
+        ratio = self.drift_filter.lens_ratio
+        undecided = self.drift_filter.flow_contradicts and not self.drift_filter.flow_left_aside
         if ratio > _WORN_RATIO and not self._worn_told and not undecided:
             self._worn_told = True
             times = float(np.sqrt(ratio))

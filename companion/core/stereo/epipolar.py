@@ -86,8 +86,7 @@ class EpipolarUpdate:
     verdict : MatchVerdict
         Result of the test of the matches against the prediction.
     flow_contradicts : bool
-        Whether the pair's flow was refused within two seconds of a flow that was used, or while it makes the
-        calibration doubtful.
+        Whether the pair's flow was refused within two seconds of a flow that was used, or before any was used.
     """
 
     slow_rad: Floats
@@ -233,7 +232,7 @@ class EpipolarFilter:
 
         A flow that contradicts for longer means a velocity that has become wrong; it is not used. If no flow was ever
         used, the keystone may be wrong, which matches cannot tell from toe: each such pair doubles all variances, up to
-        :data:`_MOST_DOUBT`. A flow that contradicts even then is not used.
+        :data:`_MOST_DOUBT`. A flow that contradicts even then stays a contradiction, and is not used.
         """
         mean, passed_s = answer.mean, flow.between.passed_s
         innovation = flow.without(answer.outlier).innovation(
@@ -252,7 +251,7 @@ class EpipolarFilter:
                 return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
             if self.lens_ratio >= _MOST_DOUBT:
                 self.doubted_in_vain = True
-                return answer, False
+                return answer, True
             self.lens_ratio *= _DOUBT
             return replace(answer, covariance=_DOUBT * answer.covariance), True
         self._flow_used_ns, self.doubted_in_vain = t_host_ns, False
