@@ -52,7 +52,8 @@ def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) ->
 
 def _tip(stream: tuple[Floats, Floats]) -> RawStream:
     t_s, values = stream
-    return RawStream(t_s, values[:, 2], values[:, 1] if _measured(values[:, 1]) else None)
+    lateral, roll = (column if _measured(column) else None for column in (values[:, 1], values[:, 3]))
+    return RawStream(t_s, values[:, 2], lateral, roll)
 
 
 def _two_sensors(path: Path, tips: Mapping[Side, RawStream]) -> None:
