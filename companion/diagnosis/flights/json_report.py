@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.untold_scale import scale_note
 from companion.diagnosis.flights.views import strengths
 from companion.diagnosis.json_rows import adequacy, cause_head, deviation, failures, nats, quantity
 from companion.diagnosis.model.effect_term import EffectTerm
@@ -46,7 +47,10 @@ def as_json(
             for entry in diagnosis.screening.candidates
         ],
         "airframe_parameters": _nuisances(diagnosis, models[0]),
-        "notes": [note for model in models for note in model.observations.notes],
+        "notes": [
+            *(note for model in models for note in model.observations.notes),
+            *scale_note(models, diagnosis.final.state.expectations),
+        ],
     }
 
 
