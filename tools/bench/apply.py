@@ -9,8 +9,9 @@ what was named and read back from its file. Held against the second minute, the 
 there the service's tracker then corrects ranges with three airframes: as believed, as extended, and as it truly is with
 the effect in force (the oracle). Range errors are without matching noise, as at 60 m, rms over an effect's flights, and
 the extended airframe's is to be the oracle's within 10 %; behind it stands its standard error (jackknife over flights),
-for of one flight it is a draw of constants. No matches hold the slow part of the toe here, as they do in flight: in
-brackets stands what is left about each flight's mean.
+for of one flight it is a draw of constants. Judged are instants at which the tracker trusts itself, with the extended
+airframe and as the oracle (``WingTracker.distrust``): at others no range would be published. No matches hold the slow
+part of the toe here, as they do in flight: in brackets stands what is left about each flight's mean.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,7 +69,8 @@ _TICK_NS = 4_000_000
 class HeldOut:
     """One flight: what was named, whether that is adequate in the held-out minute, and errors of the toe there, rad.
 
-    Each error is rms and about its mean: as believed, as applied, and the oracle's. ``m_per_rad`` makes ranges at 60 m.
+    Each error is rms and about its mean: as believed, as applied, and the oracle's, NaN where nothing was judged.
+    ``m_per_rad`` makes ranges at 60 m. ``judged`` is the share of instants that were.
     """
 
     effect: str
@@ -75,6 +78,7 @@ class HeldOut:
     adequate: bool
     errors_rad: tuple[tuple[float, float], ...]
     m_per_rad: float
+    judged: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,9 @@ class Row:
 
     @property
     def errors_rad(self) -> Floats:
-        """Errors (believed, applied, oracle) x (rms, about each flight's mean), rms over flights, rad."""
-        return np.asarray(np.sqrt(np.mean(np.square([flight.errors_rad for flight in self.flights]), axis=0)))
+        """Errors (believed, applied, oracle) x (rms, about each flight's mean), rms over judged flights, rad."""
+        errors = [flight.errors_rad for flight in self.flights if flight.judged > 0.0]
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0))) if errors else np.full((3, 2), np.nan)
 
     @property
     def excess(self) -> float:
@@ -122,9 +127,13 @@ def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> HeldOut:
     again = models_of([second], applied)
     adequate = all(entry.passed for entry in check(again, Flights(again).null()))
     oracle = dataclasses.replace(flight.real.actual, effects=hidden)
-    errors = tuple(toe_error_rad(flight, second, entry) for entry in (airframe, applied, oracle))
+    airframes = (airframe, applied, oracle)
+    flown = [tracked(second, entry) for entry in airframes]
+    trusted = flown[1].trusted_ns & flown[2].trusted_ns & flown[0].bends.keys()
+    errors = tuple(toe_error_rad(flight, *entry, sorted(trusted)) for entry in zip(airframes, flown, strict=True))
     named = tuple(cause.term.effect.name for cause in diagnosis.causes)
-    return HeldOut(name, named, adequate, errors, _AT_M**2 / Rig.from_airframe(airframe).baseline_m)
+    m_per_rad = _AT_M**2 / Rig.from_airframe(airframe).baseline_m
+    return HeldOut(name, named, adequate, errors, m_per_rad, len(trusted) / max(len(flown[2].bends), 1))
 
 
 def two_minutes() -> FlightPlan:
@@ -155,18 +164,24 @@ def _minute(folder: Path, which: int) -> Path:
     return minute_folder
 
 
-def toe_error_rad(flight: Flight, folder: Path, airframe: Airframe) -> tuple[float, float]:
-    """Error left in the toe, as at 60 m, by what the tracker and an airframe make of it: rms, and about its mean."""
+def toe_error_rad(flight: Flight, airframe: Airframe, flown: Tracked, at_ns: Sequence[int]) -> tuple[float, float]:
+    """Error left in the toe, as at 60 m, by an airframe and what the tracker makes of it: rms, and about its mean.
+
+    ``at_ns`` are the instants to judge; of none both are NaN.
+    """
+    if not at_ns:
+        return math.nan, math.nan
     cameras = apply_to_airframe(flight.real.actual)
     believed, real = Rig.from_airframe(flight.airframe), Rig.from_airframe(cameras)
     rig = Rig.from_airframe(apply_to_airframe(airframe))
-    bends = tracked(folder, airframe)
-    series = flight.truth.series(np.array(sorted(bends), dtype=np.int64))
+    series = flight.truth.series(np.array(at_ns, dtype=np.int64))
     inverse, errors = 1.0 / _AT_M, []
-    for row, t_ns in enumerate(sorted(bends)):
+    for row, t_ns in enumerate(at_ns):
         focal, wider = focal_px(cameras), real.baseline_m
         shown = focal * (wider * inverse + toe_rad(believed, real, series, row))
-        made = focal_px(apply_to_airframe(airframe)) * (rig.baseline_m * inverse + _toe_of(believed, rig, bends[t_ns]))
+        made = focal_px(apply_to_airframe(airframe)) * (
+            rig.baseline_m * inverse + _toe_of(believed, rig, flown.bends[t_ns])
+        )
         errors.append((made - shown) / focal)
     return float(np.sqrt(np.mean(np.square(errors)))), float(np.std(errors))
 
@@ -184,11 +199,20 @@ def _toe_of(believed: Rig, rig: Rig, bend: Deflection) -> float:
     return float(-log_rotation(bent @ rest.T)[1])
 
 
-def tracked(folder: Path, airframe: Airframe) -> dict[int, Deflection]:
-    """Smoothed deflections by boot time, ns, as the service's pipeline tracks them with an airframe."""
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """Smoothed deflections by boot time, ns, and the times at which ranges may rest on them."""
+
+    bends: dict[int, Deflection]
+    trusted_ns: frozenset[int]
+
+
+def tracked(folder: Path, airframe: Airframe) -> Tracked:
+    """Deflections as the service's pipeline tracks them with an airframe."""
     recording = open_recording(folder, airframe)
     state = start(dataclasses.replace(recording.airframe, effects=airframe.effects), Settings(smoother_lag_s=_LAG_S))
     bends: dict[int, Deflection] = {}
+    trusted_ns = set()
     next_tick_ns = next_ns = begun_ns = None
     for record in recording.records():
         if not isinstance(record, ImuBatch) or not len(record.t_ns):
@@ -205,15 +229,16 @@ def tracked(folder: Path, airframe: Airframe) -> dict[int, Deflection]:
             bend = state.tracker.smooth(next_ns)
             if isinstance(bend, Deflection):
                 bends[next_ns] = bend
+                trusted_ns |= {next_ns} if state.tracker.distrust is None else set()
             next_ns += round(_EVERY_S * 1e9)
-    return bends
+    return Tracked(bends, frozenset(trusted_ns))
 
 
 def table(rows: list[Row]) -> str:
     """A line for each effect."""
     lines = [
-        "| hidden | named from the first minute | adequate after | believed | applied | oracle | over the oracle |",
-        "|---|---|---|---|---|---|---|",
+        "| hidden | named from the first minute | adequate | judged | believed | applied | oracle | over the oracle |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         count = len(row.flights)
@@ -224,8 +249,12 @@ def table(rows: list[Row]) -> str:
             for rms, about in row.errors_rad
         )
         adequate = sum(flight.adequate for flight in row.flights)
+        judged_ratio = f"{np.mean([flight.judged for flight in row.flights]):.0%}"
         over = f"{100.0 * row.excess:+.0f} +- {100.0 * row.excess_sigma:.0f} %"
-        lines.append(f"| {row.flights[0].effect} | {named} | {adequate} of {count} | {cells} | {over} |")
+        over = over if math.isfinite(row.excess) else "nothing judged"
+        lines.append(
+            f"| {row.flights[0].effect} | {named} | {adequate} of {count} | {judged_ratio} | {cells} | {over} |"
+        )
     return "\n".join(lines)
 
 
