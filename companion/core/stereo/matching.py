@@ -15,7 +15,7 @@ import numpy as np
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.least_magnitudes import least_magnitudes
 from companion.core.stereo.rectification import Rectification, halved, rectification, rectify_pair
-from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
+from companion.core.stereo.refine import HALF_WINDOW, Refined, is_steep, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
@@ -185,8 +185,13 @@ def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Fl
     centres_px = np.rint(right_px).astype(np.int64)
     expected = left_px + (centres_px - right_px)
     along = np.tile([1.0, 0.0], (len(centres_px), 1))
-    back = refine(right, left, centres_px, expected, along, -slopes[chosen], iterations=2)
-    gap = np.linalg.norm((back.right_px - back.left_px) - (left_px - right_px), axis=1)
+    steep, back_slopes = is_steep(slopes[chosen]), -slopes[chosen]
+    back_slopes[steep] = np.linalg.inv(np.eye(2) + slopes[chosen][steep]) - np.eye(2)
+    back = refine(right, left, centres_px, expected, along, back_slopes, iterations=2)
+    apart = (back.right_px - back.left_px) - (left_px - right_px)
+    # the way back is measured at another point of the patch, where a steep displacement is another one
+    apart[steep] -= np.einsum("nij,nj->ni", back_slopes[steep], (back.left_px - right_px)[steep])
+    gap = np.linalg.norm(apart, axis=1)
     alike: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * fine.sigma_px[chosen])
     return alike
 
