@@ -48,7 +48,7 @@ class ExtrinsicsDriftFilter:
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
         self.verdict = MatchVerdict.AGREE
         self.flow_contradicts = False
-        """Whether the last pair's flow contradicts the toe, within two seconds of a flow that was used or before any."""
+        """Whether the newest flow contradicts the toe, within two seconds of a flow that was used or before any was."""
         self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
         """Covariance (12, 12) of the last rotation returned and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf

@@ -31,7 +31,7 @@ FINE_SCORE = 0.85
 """Least correlation of two patches of the same texture (choice)."""
 # 1 - correlation of the best place, plus a margin, must be below this share of that of any other place (choice)
 _UNIQUENESS = 0.8
-# share of the image's width beside the edge; texture that repeats at longer intervals has other features between (choice)
+# share of the width, beside the edge (choice): texture that repeats at longer intervals has other features between
 _EDGE_SHARE = 0.125
 _SAME_PLACE_PX = 3.0  # at the coarse scale: two peaks this near are one (choice, as in search.py)
 _UNIQUE_MARGIN = 0.02  # margin for the noise of perfect matches (choice)
