@@ -269,7 +269,7 @@ def _print_findings(plain: dict[str, Any]) -> None:
     if plain.get("onset"):
         print(f"  onset: {plain['onset']['says']}")
     for entry in plain.get("held_out_speeds", []):
-        each = [("frequency", entry["frequency_hz"]), *entry["amplitude"].items()]
+        each = [("frequency in Hz", entry["frequency_hz"]), *entry["amplitude"].items()]
         pairs = ", ".join(
             f"{name} {pair['measured']:.4g} -> {pair['predicted']:.4g} ({100 * pair['relative_error']:+.1f} %)"
             for name, pair in each

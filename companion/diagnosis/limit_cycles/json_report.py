@@ -17,7 +17,7 @@ from companion.diagnosis.selection.regression import RegressionTerm
 
 _FAR = 4.5  # sigmas of a window that is told by itself (choice)
 _FAST = 0.1  # of ln amplitude a period: a fifth in a window of two (choice)
-_TOO_FAST = ": averages follow slow changes only"
+_TOO_FAST = ", too fast for the model, whose averages follow slow changes only"
 _IN_WORDS = {
     LIMIT_CYCLE: "frequency and damping follow the airspeed: so does the amplitude at which the damping is 0",
     AirspeedDependence.name: "follows the airspeed at equal amplitude",
@@ -135,7 +135,7 @@ def _outlying(diagnosis: FlutterDiagnosis) -> list[str]:
         if abs(z) > _FAR:
             name, change = diagnosis.tracks[row.recording].name, -2.0 * math.pi * row.damping
             sentences.append(
-                f"{name}, {row.t_s:.1f} s: {row.frequency_hz:.2f} Hz is {z:+.1f} sigma off, where ln amplitude "
+                f"{name}, {row.t_s:.1f} s: {row.frequency_hz:.2f} Hz is {z:+.1f} sigma off the fitted law; there ln amplitude "
                 f"changes by {change:+.2f} a period" + (_TOO_FAST if abs(change) > _FAST else "")
             )
     return sentences
