@@ -240,7 +240,7 @@ def test_sensors_that_contradict_the_model_for_good_are_told_so_and_not_that_the
     for clock in ClockName:
         clocks.identity(clock)
     state, (t, values) = start(plain_airframe(), Settings(), clocks=clocks), swinging(24.0, 0.005)
-    values[Station.LEFT][:, 1] = 0.2 * values[Station.LEFT][:, 2]
+    values[Station.LEFT][:, 1] = 0.2 * np.roll(values[Station.LEFT][:, 2], 20)  # late: no constant explains it
     reasons, distrusted = [], []
     for first in range(0, len(t), 40):
         for station, v in values.items():

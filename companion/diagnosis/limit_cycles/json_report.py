@@ -135,8 +135,8 @@ def _outlying(diagnosis: FlutterDiagnosis) -> list[str]:
         if abs(z) > _FAR:
             name, change = diagnosis.tracks[row.recording].name, -2.0 * math.pi * row.damping
             sentences.append(
-                f"{name}, {row.t_s:.1f} s: {row.frequency_hz:.2f} Hz is {z:+.1f} sigma off the fitted law; there ln amplitude "
-                f"changes by {change:+.2f} a period" + (_TOO_FAST if abs(change) > _FAST else "")
+                f"{name}, {row.t_s:.1f} s: {row.frequency_hz:.2f} Hz is {z:+.1f} sigma off the fitted law; there ln "
+                f"amplitude changes by {change:+.2f} a period" + (_TOO_FAST if abs(change) > _FAST else "")
             )
     return sentences
 
