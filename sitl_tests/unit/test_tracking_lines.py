@@ -251,6 +251,26 @@ def test_lines_of_one_shaft_are_one_shaft() -> None:
     assert list(known_lines.multiples.values()) == [(PARTS, 2 * PARTS)]
 
 
+@pytest.mark.parametrize("half_order", [True, False])
+def test_a_bending_mode_s_second_harmonic_is_no_shaft(half_order: bool) -> None:
+    """A mode of 25.1 Hz that hardly decays shows twice its frequency across; an engine has a weaker half order."""
+    known_lines = KnownLines()
+    for seconds in (2.5, 3.5):
+        t_ns = stamps(seconds)
+        swing = np.cos(np.outer(2.0 * np.pi * 25.12 * t_ns * 1e-9, (1.0, 2.0)))
+        values = samples(t_ns, wing(t_ns * 1e-9))
+        lateral, vertical, rate = (
+            ((0.3, 1.0), (1.0, 3.0), (0.01, 0.02)) if half_order else ((0.3, 0.25), (10, 0), (0.2, 0))
+        )
+        for channel, amplitude in ((1, lateral), (2, vertical), (3, rate)):
+            values[:, channel] += swing @ amplitude
+        assert any(abs(peak.frequency_hz - 50.24) < 0.3 for peak in completed(find_lines(channels_of(t_ns, values))))
+        ring = SampleRing(RATE_HZ)
+        ring.add(t_ns, values)
+        completed(known_lines.search([ring], int(t_ns[-1]) + 1, {}))
+    assert list(known_lines.multiples.values()) == ([(PARTS, PARTS // 2)] if half_order else [])
+
+
 def test_a_weak_line_turns_with_its_leader() -> None:
     """A line a hundredth of the leader's, in noise in which it alone could not be followed, leaves the samples."""
     t_ns = stamps(6.0)

@@ -15,7 +15,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.core.kernels.arrays import row_medians
 from companion.core.tracking.line_peaks import (
@@ -32,7 +31,7 @@ from companion.core.tracking.line_peaks import (
     find_lines,
     hann,
 )
-from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
+from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS, Complexes
 from companion.core.tracking.spread_work import Stages
 from companion.records import Floats, Ints
 
@@ -51,6 +50,8 @@ _MAX_SHAFTS = 3  # chosen: two engines and a generator
 _MAX_LINES = 6  # chosen, of a shaft: each costs as much as the first
 _LOWEST_TURNED_HZ = 20.0  # chosen: below, the first bending modes move most
 _MIN_TURNED_RATIO = 25.0  # derived: noise exceeds it once in 2^25 looks
+# chosen, of power: a shaft's leader is its strongest line, a mode's harmonic 200 times weaker (25 Hz, damped to 0.6 %)
+_MAX_OVER_LEADER = 10.0
 _TURNED_FLOOR_HZ = 20.0  # chosen: either side of a line, for the median
 _PHASE_S = 0.12  # chosen: of the transforms that give the leader's phase; its rate may change by 8 Hz in them
 _MIN_IN_ROW = 2  # chosen, searches in a row: a narrow band of noise rarely looks like a line twice
@@ -193,8 +194,11 @@ class KnownLines:
             peaks = yield from self._look_again(shaft, peaks, channels)
         peaks = [peak for peak in peaks if peak.frequency_hz >= LOWEST_HZ]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
-            self._begin(peaks[0])
-            peaks = yield from self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
+            leader, *peaks = peaks
+            if is_harmonic_of_mode(leader, channels):
+                continue
+            self._begin(leader)
+            peaks = yield from self._with_lines(self._shafts[-1], leader, peaks, channels)
         self._drop()
 
     def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> Stages[list[Peak]]:
@@ -247,14 +251,39 @@ def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int
         rate_hz, turned_rad = together[0].rate_hz, np.interp(together[0].t_s, t_s, phase_rad)
         swings = np.stack([channel.swing() for channel in together])
         for multiple in MULTIPLES:
-            if _LOWEST_TURNED_HZ <= multiple * leader.frequency_hz / PARTS <= HIGHEST_RATIO * rate_hz:
-                turning = np.exp(-1j * multiple / PARTS * turned_rad)
-                ratio = _turned_ratio(swings * turning, rate_hz)
-                if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)):
+            frequency_hz = multiple * leader.frequency_hz / PARTS
+            if _LOWEST_TURNED_HZ <= frequency_hz <= HIGHEST_RATIO * rate_hz:
+                turned = swings * np.exp(-1j * multiple / PARTS * turned_rad)
+                ratio = _turned_ratio(turned, rate_hz)
+                may_be_mode = frequency_hz < LOWEST_HZ and _outweighs(turned, swings * np.exp(-1j * turned_rad))
+                if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)) and not may_be_mode:
                     ratios[multiple] = ratio
             if multiple in _PAUSE_AFTER:
                 yield
     return ratios
+
+
+def is_harmonic_of_mode(leader: Peak, channels: list[ChannelWindow]) -> bool:
+    """Whether a line is the second harmonic of a bending mode, by the force that a swinging tip feels along the span.
+
+    Such a mode is damped so lightly that its envelope changes slowly. It moves the samples far more than its harmonic.
+    """
+    t_s, phase_rad = _phase(leader)
+    for _, station in by_station(channels):
+        together = list(station)
+        if any(channel is leader.channel for channel in together):
+            swings, turned_rad = np.stack([channel.swing() for channel in together]), together[0].t_s
+            turned_rad = np.interp(turned_rad, t_s, phase_rad)
+            return _outweighs(swings * np.exp(-0.5j * turned_rad), swings * np.exp(-1j * turned_rad))
+    return False
+
+
+def _outweighs(turned: Complexes, by_leader: Complexes) -> bool:
+    """Whether channels (k, n) have far more power at zero frequency than turned back by the leader; by their median."""
+    window = hann(turned.shape[1])
+    power, of_leader = np.abs(turned @ window) ** 2, np.abs(by_leader @ window) ** 2
+    sent = of_leader > NO_POWER
+    return bool(sent.any() and np.median(power[sent] / of_leader[sent]) > _MAX_OVER_LEADER)
 
 
 def _phase(leader: Peak) -> tuple[Floats, Floats]:
@@ -272,7 +301,7 @@ def _phase(leader: Peak) -> tuple[Floats, Floats]:
     return np.concatenate([ends[:1], middle, ends[1:]]), np.concatenate([beyond[:1], phase_rad, beyond[1:]])
 
 
-def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
+def _turned_ratio(turned: Complexes, rate_hz: float) -> float:
     """Power at zero frequency over the median around it, of the channel (k, n) where it is highest.
 
     0 where no envelope there is steady.
@@ -285,7 +314,7 @@ def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
     return max((float(power[k, 0] / floor[k]) for k in high if _steady(turned[k], rate_hz)), default=0.0)
 
 
-def _steady(turned: npt.NDArray[np.complex128], rate_hz: float) -> bool:
+def _steady(turned: Complexes, rate_hz: float) -> bool:
     """Whether the envelope of samples at zero frequency varies little."""
     length = round(SHORT_S * rate_hz)
     short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
