@@ -64,7 +64,7 @@ def test_a_white_gust_is_no_misalignment_of_the_tips() -> None:
 
 
 def test_a_lightly_damped_second_mode_in_strong_gusts_is_no_propeller() -> None:
-    """Twice its frequency, steady for two seconds, was followed from 35 s on, as a shaft with the mode as half order."""
+    """Twice its frequency, steady for two seconds, was followed as a shaft from 35 s on, the mode as its half order."""
     airframe = load_airframe("nadir-2m")
     flight = build_flight(airframe, LIGHTLY_DAMPED, plan=dataclasses.replace(two_minutes(), duration_s=40.0))
     state, distrusted = start(flight.airframe, Settings()), 0
