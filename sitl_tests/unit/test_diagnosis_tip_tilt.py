@@ -13,7 +13,7 @@ from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.data.tilt_measurement import TipSamples, tip_tilt
 from companion.diagnosis.data.tip_tilt import slow_response
-from companion.diagnosis.flights.recordings import Flights, diagnose
+from companion.diagnosis.flights.recordings import Flights
 from companion.diagnosis.flights.screen import screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
@@ -25,14 +25,12 @@ from companion.records import Floats
 from companion.sim.flight.flight import build_flight
 from companion.sim.flight.tables import write_csv
 from companion.units import GRAVITY_MPS2
-from tools.bench.apply import EFFECTS, two_minutes
 
 AIRFRAME = load_airframe("nadir-2m")
 RATE_HZ = 500.0
 T_S = np.arange(30_000) / RATE_HZ
 AT_S = np.arange(4.0, 56.0, 0.1)
 SLOW_HZ, SWING_HZ = 0.08, 5.0
-BENT_SEED = 403
 WINDY_SEED = 417
 """A flight of 17 m/s^2 rms at the tips: the slow gust bends it by 7 mrad that no vertical accelerometer tells."""
 
@@ -140,34 +138,6 @@ def test_the_toe_that_is_left_untold_is_a_fraction_and_holds_what_is_left(folder
         for entry in (model, before)
     )
     assert after_rad < 0.25 * before_rad
-
-
-def test_toe_and_tilt_are_judged_as_one_gaussian(folder: Path) -> None:
-    """The likelihood of the toe given the tilt and that of the tilt make up that of both, whichever is conditioned."""
-    (model,) = models_of([folder], AIRFRAME)
-    plain = FlightModel(model.belief, without_tilt(model.observations), model.top_hz)
-    e, alone = (entry.expect(np.zeros(len(model.belief.nuisances))) for entry in (model, plain))
-    k = len(e.toe_residual_rad)
-    tilted = e.tilt_factor @ e.tilt_factor.T
-    crossed = e.tilt_gain @ tilted
-    covariance = np.block([[alone.toe_covariance, crossed], [crossed.T, tilted]])
-    tilt_rad = e.tilt_factor @ (e.rest_residual[-k:] / np.sqrt(e.rest_variance[-k:]))
-    residual = np.concatenate([alone.toe_residual_rad, tilt_rad])
-    sign, log_determinant = np.linalg.slogdet(covariance)
-    both = -0.5 * (log_determinant + residual @ np.linalg.solve(covariance, residual))
-    scores, without = model.log_scores(e), plain.log_scores(alone)
-    assert sign > 0
-    assert scores["range"] + scores["rest"] - without["rest"] == pytest.approx(both, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_a_bend_that_follows_the_load_is_named_beside_the_tilt(tmp_path: Path) -> None:
-    """The tilt follows such a bend as the toe does: conditioned on and not judged, it took all evidence of it away."""
-    hidden = (NamedEffect("load-dependent-bend", EFFECTS["load-dependent-bend"]),)
-    plan = dataclasses.replace(two_minutes(), duration_s=60.0)
-    write_csv(build_flight(AIRFRAME, BENT_SEED, plan=plan, effects=hidden), tmp_path)
-    diagnosis = diagnose(models_of([tmp_path], AIRFRAME), list(catalogue().values()))
-    assert [cause.term.effect.name for cause in diagnosis.causes] == ["load-dependent-bend"]
 
 
 def test_a_recording_with_a_gap_or_without_gyros_has_none(folder: Path) -> None:

@@ -77,20 +77,16 @@ class Expectation:
         Covariance of the toe that the accelerations leave.
     tilt_gain : (k, k) or (0, 0)
         What the expected toe follows the tips' slow tilt by.
-    tilt_factor : (k, k) or (0, 0)
-        Cholesky's factor of the tilt's covariance, that of its error included.
     toe_variance : (k,)
         Of the matching, and of exposures that wander.
-    rest_residual, rest_variance : (c,), (c + 1,) or with k more
-        Residual and variance of the sensors' means at rest, m/s^2, of the delay by the recoil, s, and of the tips' slow
-        tilt, decorrelated, rad.
+    rest_residual, rest_variance : (c,) or (c + 1,)
+        Residual and variance of the sensors' means at rest, m/s^2, and of the delay by the recoil (last entry), s.
     """
 
     motion: Motion
     toe_residual_rad: Floats
     toe_posterior: Floats
     tilt_gain: Floats
-    tilt_factor: Floats
     toe_variance: Floats
     rest_residual: Floats
     rest_variance: Floats

@@ -94,16 +94,13 @@ class FlightModel:
         effects = tuple(term.effect for term in terms)
         wing = WingModel(self.belief.wing(deviation), effects)
         motion = self._motion(wing, terms, deviation, near, small_step)
-        posterior = gain = factor = np.zeros((0, 0))
-        rest, rest_variance = self._rest(effects, deviation)
+        posterior = gain = np.zeros((0, 0))
         toe, variance = np.zeros(0), np.zeros(0)
         if self._toe is not None:
-            lent = None if near is None else (near.toe_posterior, near.tilt_gain, near.tilt_factor)
-            posterior, gain, factor = lent or self._toe.posterior(wing, effects, motion)
+            lent = None if near is None else (near.toe_posterior, near.tilt_gain)
+            posterior, gain = lent or self._toe.posterior(wing, effects, motion)
             toe, variance = self._toe.residual(wing, effects, deviation, motion, gain)
-            tilt, tilt_variance = self._toe.tilt_residual(wing, motion, factor)
-            rest, rest_variance = np.append(rest, tilt), np.append(rest_variance, tilt_variance)
-        return Expectation(motion, toe, posterior, gain, factor, variance, rest, rest_variance)
+        return Expectation(motion, toe, posterior, gain, variance, *self._rest(effects, deviation))
 
     def acceleration_spectrum(self, deviations: Floats) -> Complexes:
         """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from companion.core.stereo.geometry import Rig, epipolar_axes
 from companion.core.wing.effect import CameraView, Effect, viewed
@@ -119,24 +119,12 @@ class ToeModel:
         )
         return deflection, speed
 
-    def tilt_residual(self, wing: WingModel, motion: Motion, factor: Floats) -> tuple[Floats, Floats]:
-        """Measured minus expected slow tilt, decorrelated by its covariance's ``factor``, and its variance, (k,) each.
-
-        Empty without a tilt.
-        """
-        if self._tilt is None:
-            return np.zeros(0), np.zeros(0)
-        pivots = np.diag(factor)
-        white = solve_triangular(factor, self._tilt[0] - self._slow_tilt(wing, motion), lower=True)
-        return np.asarray(pivots * white), np.asarray(pivots**2)
-
-    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> tuple[Floats, Floats, Floats]:
-        """Covariance of the toe that the accelerations leave, (k, k), rad^2; its gain on the slow tilt; the tilt's own.
+    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> tuple[Floats, Floats]:
+        """Covariance of the toe that the accelerations leave, (k, k), rad^2, and its gain on the tips' slow tilt.
 
         With a reference, the covariance is that of the toe's mean, too. The tilt is one more measurement of the motion
         that the accelerations leave. With P the covariances of toe y and tilt g, and R that of the tilt's error, the
-        gain is P_yg (P_gg + R)^-1, and P_yy - gain P_gy is left. The last is Cholesky's factor of P_gg + R. Without a
-        tilt both are empty.
+        gain is P_yg (P_gg + R)^-1, and P_yy - gain P_gy is left. Without a tilt the gain is empty.
         """
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
@@ -151,13 +139,13 @@ class ToeModel:
             density[0] = 0.0  # the residual's mean is taken out
         of_toe = self._covariance(np.maximum(density, 0.0))
         if self._tilt is None:
-            return of_toe, np.zeros((0, 0)), np.zeros((0, 0))
+            return of_toe, np.zeros((0, 0))
         tilted = self._tilt_row(wing)[None]
         crossed = self._covariance(between(row, tilted))
-        factor = np.linalg.cholesky(self._covariance(np.maximum(between(tilted, tilted), 0.0)) + self._tilt[1])
-        gain = cho_solve((factor, True), crossed.T).T
+        factor = cho_factor(self._covariance(np.maximum(between(tilted, tilted), 0.0)) + self._tilt[1])
+        gain = cho_solve(factor, crossed.T).T
         left = of_toe - gain @ crossed.T
-        return 0.5 * (left + left.T), np.asarray(gain), np.asarray(factor)
+        return 0.5 * (left + left.T), np.asarray(gain)
 
     def _covariance(self, density: Floats) -> Floats:
         """Covariance (k, k) at the exposures of a two-sided density (f,)."""
