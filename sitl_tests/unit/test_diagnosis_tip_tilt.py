@@ -96,6 +96,18 @@ def test_the_error_of_some_instants_is_a_part_of_the_whole() -> None:
     assert np.all(of_part > of_whole * (1.0 - 1e-3))
 
 
+def test_the_tilt_tells_nothing_of_a_bend_that_follows_the_load() -> None:
+    """Such a bend moves toe and tilt alike: a toe that followed the tilt would show none, and nobody judges the tilt."""
+    load = 1.0 + 0.2 * np.sin(2.0 * np.pi * 0.05 * T_S) + 0.1 * np.sin(2.0 * np.pi * 0.11 * T_S)
+    pulled = dataclasses.replace(samples(), root_z_mps2=-GRAVITY_MPS2 * load)
+    _, covariance = tip_tilt(pulled, UNFILTERED, AT_S).together()
+    change = np.interp(AT_S, T_S, load)
+    change = change - change.mean()
+    for power in (1, 2, 3):
+        shape = (change / change.std()) ** power
+        assert shape @ np.linalg.solve(covariance, shape) < 1.05 / 0.1**2, "no better than a tenth of a radian"
+
+
 def test_lateral_forces_tell_nothing_without_weight() -> None:
     falling = dataclasses.replace(samples(), root_z_mps2=np.full(len(T_S), -1.0))
     tilt = tip_tilt(falling, UNFILTERED, AT_S)

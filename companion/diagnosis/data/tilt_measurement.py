@@ -31,6 +31,8 @@ _AXES_RAD = 0.001  # how well an axis is known at best (choice)
 _SHORTER_M = 1.0  # how far a bent wing draws its tip in, by half the square of its slope (choice)
 _DRIFTS = 0.2  # of the low-pass, below which rates drift from lateral forces (choice)
 _PASSES = 2  # the drift of a minute turns a swinging force, what is left of it does not (numerical)
+_LOAD_POWERS = 3  # of the load factor that a law of the bend may follow: a straight line, a curve, a yield (choice)
+_LEAST_LOAD_MPS2 = 0.01  # rms; smaller changes of the load are noise (choice)
 _LEAST_RAD, _LEAST_SHARE = 5e-5, 0.02  # noise of an instant at least, and of the tilt's rms (choice)
 
 
@@ -105,9 +107,17 @@ def tip_tilt(samples: TipSamples, airframe: Airframe, at_s: Floats) -> TipTilt:
         np.abs(at_exposures(weight)) > _LEAST_FORCE_MPS2,
         (airframe.left, airframe.right),
         SLOW * first_hz,
+        _load_shapes(at_exposures(weight)),
         float(np.sqrt(np.mean((apart - _slow(apart, rate_hz, _DRIFTS * first_hz)) ** 2))),
         math.hypot(_LEAST_RAD, _LEAST_SHARE * float(np.std(lateral))),
     )
+
+
+def _load_shapes(weight_mps2: Floats) -> Floats:
+    """Powers of the load factor's changes, of unit rms, (s, k)."""
+    change = weight_mps2 - weight_mps2.mean()
+    unit = change / max(float(np.std(change)), _LEAST_LOAD_MPS2)
+    return np.stack([unit**power for power in range(1, _LOAD_POWERS + 1)])
 
 
 def _of_either(airframe: Airframe, name: str) -> float:

@@ -42,6 +42,8 @@ class TipTilt:
         Whose noise and biases these are, left and right.
     width_hz : float
         Of the low-pass.
+    load_shapes : (s, k)
+        Powers of the slow load factor, of unit rms: along them the tilt tells nothing.
     rough_rad : float
         How far the two part, rms, faster than drifts do.
     least_rad : float
@@ -57,12 +59,13 @@ class TipTilt:
     tells: Bools
     sensors: tuple[Sensor, Sensor]
     width_hz: float
+    load_shapes: Floats
     rough_rad: float
     least_rad: float
 
     def taken(self, inside: Bools) -> TipTilt:
         """Some of the instants (k,)."""
-        names = ("t_s", "lateral_rad", "rates_rad", "lateral_shapes", "rate_shapes", "gain", "tells")
+        names = ("t_s", "lateral_rad", "rates_rad", "lateral_shapes", "rate_shapes", "load_shapes", "gain", "tells")
         return dataclasses.replace(self, **{name: getattr(self, name)[..., inside] for name in names})
 
     def together(self) -> tuple[Floats, Floats]:
@@ -70,6 +73,8 @@ class TipTilt:
         precisions = np.linalg.inv(self._lateral_error()), np.linalg.inv(self._rate_error())
         covariance = np.linalg.inv(precisions[0] + precisions[1])
         slope_rad = covariance @ (precisions[0] @ self.lateral_rad + precisions[1] @ self.rates_rad)
+        # a bend that follows the load moves tilt and toe alike: the toe has to show it, for the tilt is not judged
+        covariance = covariance + _ANY_RAD**2 * self.load_shapes.T @ self.load_shapes
         return np.asarray(slope_rad), np.asarray(0.5 * (covariance + covariance.T))
 
     def _lateral_error(self) -> Floats:
