@@ -97,7 +97,7 @@ def test_the_error_of_some_instants_is_a_part_of_the_whole() -> None:
 
 
 def test_the_tilt_tells_nothing_of_a_bend_that_follows_the_load() -> None:
-    """Such a bend moves toe and tilt alike: a toe that followed the tilt would show none, and nobody judges the tilt."""
+    """Such a bend moves toe and tilt alike: a toe that follows the tilt shows none, and the tilt is not judged."""
     load = 1.0 + 0.2 * np.sin(2.0 * np.pi * 0.05 * T_S) + 0.1 * np.sin(2.0 * np.pi * 0.11 * T_S)
     pulled = dataclasses.replace(samples(), root_z_mps2=-GRAVITY_MPS2 * load)
     tilt = tip_tilt(pulled, UNFILTERED, AT_S)
