@@ -93,10 +93,10 @@ def execute(options: argparse.Namespace) -> int:
     """Wait for a companion, fly, and say what arrived."""
     airframe = load_airframe(options.airframe)
     _check(options, airframe)
+    links = options.connect or list(_LINKS)
+    router = Router(_opened(links))  # before the flight is built, which takes a while
     say(f"building {options.duration:g} s of {airframe.name}, seed {options.seed} ...")
     flight = build_flight(airframe, options.seed, options.duration, world=WORLDS[options.world])
-    links = options.connect or list(_LINKS)
-    router = Router(_opened(links))
     control = _Control(flight, options.cameras)
     waiting = WorldOptions(wait_s=_WAIT_S, trigger_line=options.cameras and line_path(options.cameras))
     say(f"on {' and '.join(links)}, waiting for spanwise run or doctor ...")

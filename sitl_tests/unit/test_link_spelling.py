@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import socket
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
+from companion.cli.main import main
 from companion.errors import LinkError
 from companion.params.links import LinkAddress, LinkKind, parse_link
 from companion.sim.vehicle.world import VehicleLink as VehicleLink
@@ -79,3 +82,15 @@ def test_a_mission_refuses_a_wrong_link_with_its_sentence(capsys: pytest.Capture
 def test_a_port_that_there_is_not_is_said_to_be_the_fault() -> None:
     with pytest.raises(LinkError, match="a port is at most 65535"):
         parse_link("udpin:0.0.0.0:99999")
+
+
+def test_a_simulated_vehicle_says_that_its_port_is_taken_before_it_builds_the_flight(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("companion.cli.vehicle.build_flight", lambda *_args, **_words: pytest.fail("was built"))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        link = f"udpin:127.0.0.1:{taken.getsockname()[1]}"
+        assert main(["vehicle", "--connect", link]) == 1
+    assert f"cannot open {link}" in (error := capsys.readouterr().err)
+    assert "give another HOST:PORT" in error

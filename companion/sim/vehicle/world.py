@@ -91,7 +91,7 @@ class VehicleLink:
                 self._peer = (address.host, address.port)
         except OSError as error:
             self._socket.close()
-            raise LinkError(f"cannot open {connection}: {error.strerror}") from error
+            raise LinkError(f"cannot open {connection}: {error.strerror}; give another HOST:PORT") from error
 
     def send(self, frames: list[bytes]) -> None:
         """Send frames in as few datagrams as fit; what nobody takes is lost, as on any UDP link."""
