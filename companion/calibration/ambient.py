@@ -26,7 +26,7 @@ _NEAR = 0.08  # of the frequency: the same mode in another block (choice)
 
 @dataclass(frozen=True, slots=True)
 class AmbientMode:
-    """A mode under unknown load; sigmas are those of the mean over blocks of the record."""
+    """A mode under unknown load; sigmas are the scatter of the blocks' mean, and how far the record is from it."""
 
     frequency_hz: float
     frequency_sigma_hz: float
@@ -73,7 +73,8 @@ def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float])
             other not in modes_held and _nearest_of(modes_held, record_poles, other) == mode for other in near
         )
         value = poles.mean(axis=0) if is_split else record_poles[mode]
-        spread = poles.std(axis=0, ddof=1) / np.sqrt(len(poles))
+        # a record and its blocks that disagree by more than the blocks' scatter know the mode no better than that
+        spread = np.hypot(poles.std(axis=0, ddof=1) / np.sqrt(len(poles)), value - poles.mean(axis=0))
         modes.append(AmbientMode(float(value[0]), float(spread[0]), float(value[1]), float(spread[1]), len(poles)))
     return modes
 
