@@ -117,6 +117,8 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
                 axis.annotate("∞", (x, median), (0, 12), "data", "offset points", ha="center", color=_COLOURS[name],
                               arrowprops={"arrowstyle": "<-", "color": _COLOURS[name]})  # fmt: skip
     axis.set_yscale("log")
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, 6.0 * high)  # room for the arrows to infinity
     axis.set_xticks(range(len(DISTANCES_M)), [f"{d:g} m" for d in DISTANCES_M])
     title = "Range error: median (bar) to 95th percentile (line; ∞: beyond infinity)"
     axis.set(title=title, xlabel="true range", ylabel="range error, m")
