@@ -52,8 +52,7 @@ def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) ->
 
 def _tip(stream: tuple[Floats, Floats]) -> RawStream:
     t_s, values = stream
-    lateral, roll = (column if _measured(column) else None for column in (values[:, 1], values[:, 3]))
-    return RawStream(t_s, values[:, 2], lateral, roll)
+    return RawStream(t_s, values[:, 2], values[:, 1] if _measured(values[:, 1]) else None)
 
 
 def _two_sensors(path: Path, tips: Mapping[Side, RawStream]) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.grid import faded_share, fast_length
 from companion.diagnosis.data.recoil import RecoilDelay
-from companion.diagnosis.data.tip_tilt import TipTilt
 from companion.records import Bools, Floats, Ints, Side
 
 _FEWEST_EXPOSURES = 5  # chosen: fewer exposures of a part are not used
@@ -25,21 +24,12 @@ _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 class RawStream:
     """One station's samples as recorded: ``t_s`` (n,) as stamped, specific force (n,) in its own FRD axes.
 
-    ``force_y_mps2`` and ``roll_radps`` are a tip's lateral axis and its roll rate where they were recorded. They show
-    how far the wing turns the vertical one.
+    ``force_y_mps2`` is a tip's lateral axis where it was recorded. It shows how far the wing turns the vertical one.
     """
 
     t_s: Floats
     force_z_mps2: Floats
     force_y_mps2: Floats | None = None
-    roll_radps: Floats | None = None
-
-    def taken(self, rows: Ints) -> RawStream:
-        """Rows of these numbers (k,), in this order."""
-        force_y_mps2, roll_radps = (
-            None if column is None else column[rows] for column in (self.force_y_mps2, self.roll_radps)
-        )
-        return RawStream(self.t_s[rows], self.force_z_mps2[rows], force_y_mps2, roll_radps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +73,12 @@ class ToeData:
         1 / reference distance.
     has_reference : bool
         False where the distance had to be taken from the slow part of the ranges themselves.
-    tilt : TipTilt or None
-        Slow tilt of the tips against each other, where they have gyros and lateral axes.
     """
 
     t_s: Floats
     toe_rad: Floats
     inverse_m: Floats
     has_reference: bool
-    tilt: TipTilt | None = None
 
     def within(self, start_s: float, stop_s: float) -> ToeData | None:
         """The exposures between two times, clear of both; None where there are hardly any."""
@@ -101,8 +88,7 @@ class ToeData:
         """Some of the exposures (k,); None where there are hardly any."""
         if inside.sum() < _FEWEST_EXPOSURES:
             return None
-        tilt = self.tilt and self.tilt.taken(inside)
-        return ToeData(self.t_s[inside], self.toe_rad[inside], self.inverse_m[inside], self.has_reference, tilt)
+        return ToeData(self.t_s[inside], self.toe_rad[inside], self.inverse_m[inside], self.has_reference)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,20 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.declipping import impute_clipped
 from companion.diagnosis.data.grid import fast_length
 from companion.diagnosis.data.imputation import impute_missing
-from companion.diagnosis.data.interpolation import in_gaps, on_grid
-from companion.diagnosis.data.observations import Observations, RawRecording, RawStream
+from companion.diagnosis.data.observations import (
+    Observations,
+    RawRanges,
+    RawRecording,
+    RawStream,
+    ToeData,
+    clear_of_ends,
+)
 from companion.diagnosis.data.recoil import RecoilDelay, recoil_delay
 from companion.diagnosis.data.rigid_motion import (
     bending_load,
@@ -29,16 +36,18 @@ from companion.diagnosis.data.sample_defects import (
     interpolate_clipped,
     worst_defects,
 )
-from companion.diagnosis.data.segments import REQUIREMENT, Segment, gaps_of, longest_stretch_s, segments_of
+from companion.diagnosis.data.segments import REQUIREMENT, Segment, Span, gaps_of, longest_stretch_s, segments_of
 from companion.diagnosis.data.stamps import by_stamp, in_order
-from companion.diagnosis.data.toe_exposures import toe_of
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import Bools, Floats, Side
 from companion.units import GRAVITY_MPS2
 
+_FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
+_GAP_MARGIN_S = 1.0  # at most, about a filled gap, where the smoothed motion is not known (choice)
 _LEAST_PER_PERIOD = 4.0  # samples per period of the first mode, so that the band about its peak is seen (choice)
 _INPUT = "input_"
+_CROWDED = 0.2  # of the usual step: a spline through stamps nearer than that would swing (choice)
 
 
 def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observations]:
@@ -86,7 +95,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
             toe=toe,
             start_s=segment.start_s - begun_s,
         )
-        for observations, segment, toe in zip(observed, segments, toe_of(ordered, airframe, segments), strict=True)
+        for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
     ]
     return in_common_units([segmented], airframe)[0]
 
@@ -136,7 +145,7 @@ def _observed(
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     recoil: RecoilDelay | None = None
     if raw.root:
-        root = undo_lowpass(on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
         recoil = recoil_delay(tips, root, fine_hz, airframe)
         tips, turning = _against_rigid(raw, tips, fine_t, fine_hz, airframe)
     up = root[:, None] - tips
@@ -194,15 +203,16 @@ def _rows_of_numbers(
     stream: RawStream, name: str, beside: Mapping[str, tuple[Floats, Floats]], notes: list[str]
 ) -> tuple[RawStream, dict[str, tuple[Floats, Floats]]]:
     """Rows of a stream, and of what was recorded with it, in which everything is a number."""
-    further = [column for column in (stream.force_y_mps2, stream.roll_radps) if column is not None]
-    columns = [stream.t_s, stream.force_z_mps2, *(values for _, values in beside.values()), *further]
-    good = np.all([np.isfinite(column) for column in columns], axis=0)
+    columns = [stream.t_s, stream.force_z_mps2, *(values for _, values in beside.values())]
+    lateral = stream.force_y_mps2
+    good = np.all([np.isfinite(column) for column in (*columns, *([] if lateral is None else [lateral]))], axis=0)
     if good.all():
         return stream, dict(beside)
     if not good.any():
         raise RecordingError(f"{name}: none of its {len(good)} samples is a number; look at what wrote the recording")
     notes.append(f"{name}: {np.count_nonzero(~good)} of {len(good)} samples are no numbers and count as lost")
-    return stream.taken(np.flatnonzero(good)), {key: (t_s[good], values[good]) for key, (t_s, values) in beside.items()}
+    finite = RawStream(stream.t_s[good], stream.force_z_mps2[good], None if lateral is None else lateral[good])
+    return finite, {key: (t_s[good], values[good]) for key, (t_s, values) in beside.items()}
 
 
 def _ordered(raw: RawRecording) -> tuple[RawRecording, list[str]]:
@@ -222,7 +232,8 @@ def _stream_in_order(stream: RawStream, name: str, notes: list[str]) -> RawStrea
     ordered = in_order(stream.t_s, stream.force_z_mps2)
     if ordered.note:
         notes.append(f"{name}: {ordered.note}")
-    return dataclasses.replace(stream.taken(ordered.rows), t_s=ordered.t_s)
+    lateral = None if stream.force_y_mps2 is None else stream.force_y_mps2[ordered.rows]
+    return RawStream(ordered.t_s, stream.force_z_mps2[ordered.rows], lateral)
 
 
 def _sorted(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -245,14 +256,23 @@ def _gap_notes(streams: Sequence[Floats], segments: Sequence[Segment]) -> list[s
 
 def _missing(raw: RawRecording, sides: Sequence[Side], t_s: Floats) -> Bools:
     """Where a tip against the rigid aircraft was not recorded, (c, m)."""
-    of_root = in_gaps(gaps_of(raw.root.t_s), t_s) if raw.root is not None else np.zeros(len(t_s), dtype=np.bool_)
-    return np.stack([in_gaps(gaps_of(raw.tips[side].t_s), t_s) | of_root for side in sides])
+    of_root = _inside(gaps_of(raw.root.t_s), t_s) if raw.root is not None else np.zeros(len(t_s), dtype=np.bool_)
+    return np.stack([_inside(gaps_of(raw.tips[side].t_s), t_s) | of_root for side in sides])
+
+
+def _inside(gaps: Sequence[Span], t_s: Floats, margin_s: float = 0.0) -> Bools:
+    """Which instants lie in a gap, or nearer to one than its length, at most ``margin_s``."""
+    inside = np.zeros(len(t_s), dtype=np.bool_)
+    for start, stop in gaps:
+        near = min(stop - start, margin_s)
+        inside |= (t_s > start - near) & (t_s < stop + near)
+    return inside
 
 
 def _tips_on_grid(raw: RawRecording, faults: Mapping[Side, Sequence[SampleDefect]], t_s: Floats) -> Floats:
     """Vertical specific force of the tips (m, c) at ``t_s`` (m,), clipped samples drawn beyond their limit."""
     sides = sorted(faults)
-    tips = np.stack([on_grid(_mended(raw.tips[side], faults[side]), t_s) for side in sides], 1)
+    tips = np.stack([_on_grid(_mended(raw.tips[side], faults[side]), t_s) for side in sides], 1)
     clipped = [clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides]
     if not any(np.any(entry) for entry in clipped):
         return tips
@@ -270,7 +290,7 @@ def _against_rigid(
     for i, side in enumerate(sides):
         recorded = raw.tips[side].force_y_mps2
         if recorded is not None and lateral is not None:
-            lateral_y = on_grid(RawStream(raw.tips[side].t_s, recorded), t_s)
+            lateral_y = _on_grid(RawStream(raw.tips[side].t_s, recorded), t_s)
             upright[:, i] = tip_axes_corrected(lateral_y, tips[:, i], lateral + felt[i, 1])
     turning = felt[:, 2].T
     return upright - turning, turning
@@ -299,6 +319,19 @@ def _imputed(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], 
         beyond[i] = clipped[nearest]
         limits[i] = np.where(beyond[i] != 0.0, stream.force_z_mps2[nearest], limits[i])
     return np.ascontiguousarray(impute_clipped(limits, beyond, tips.T).T)
+
+
+def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
+    """A stream at other instants by a cubic spline: a straight line would lose 5 % of a tone at a fifth of the rate."""
+    inside = stream.t_s[(stream.t_s >= t_s[0] - 1e-9) & (stream.t_s <= t_s[-1] + 1e-9)]
+    if len(inside) == len(t_s) and np.allclose(inside, t_s, rtol=0.0, atol=1e-6):
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    step = np.diff(stream.t_s)
+    if float(step.min()) < _CROWDED * float(np.median(step)):  # a spline through crowded samples would swing
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    splined = np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+    in_gap = _inside(gaps_of(stream.t_s), t_s)
+    return np.where(in_gap, np.interp(t_s, stream.t_s, stream.force_z_mps2), splined) if in_gap.any() else splined
 
 
 def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
@@ -331,3 +364,36 @@ def _units(covariates: Sequence[Mapping[str, Floats]], airframe: Airframe) -> di
         if effect.channel in units and effect.channel_rms > 0.0:
             units[effect.channel] = (effect.channel_mean, effect.channel_rms)
     return units
+
+
+def _toe(ranges: RawRanges | None, airframe: Airframe, segments: Sequence[Segment]) -> list[ToeData | None]:
+    """Toe in each segment; without a reference the mean distance of all of them stands for it."""
+    left_camera, right_camera = airframe.left_camera, airframe.right_camera
+    if ranges is None or left_camera is None or right_camera is None:
+        return [None] * len(segments)
+    baseline_m = right_camera.position_m[1] - left_camera.position_m[1]
+    used = [_exposures(ranges, segment) for segment in segments]
+    inverse = np.zeros(len(ranges.t_s))  # of an infinite range it is 0, which is what was measured
+    np.divide(1.0, ranges.range_m, out=inverse, where=ranges.range_m != 0.0)
+    if ranges.reference_m is not None:
+        reference = 1.0 / ranges.reference_m
+    else:
+        reference = np.full(len(inverse), inverse[np.any(used, axis=0)].mean() if np.any(used) else 0.0)
+    toe_rad = baseline_m * (inverse - reference)
+    return [
+        ToeData(
+            ranges.t_s[exposures] - segments[0].start_s,
+            toe_rad[exposures],
+            reference[exposures],
+            ranges.reference_m is not None,
+        )
+        if exposures.sum() >= _FEWEST_EXPOSURES
+        else None
+        for exposures in used
+    ]
+
+
+def _exposures(ranges: RawRanges, segment: Segment) -> Bools:
+    """Which ranges were made where the smoothed wing is known."""
+    inside = clear_of_ends(ranges.t_s, segment.start_s, segment.stop_s) & (ranges.range_m != 0.0)
+    return np.asarray(inside & ~_inside(segment.gaps, ranges.t_s, _GAP_MARGIN_S))

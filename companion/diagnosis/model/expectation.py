@@ -75,8 +75,6 @@ class Expectation:
     toe_residual_rad : (k,)
     toe_posterior : (k, k)
         Covariance of the toe that the accelerations leave.
-    tilt_gain : (k, k) or (0, 0)
-        What the expected toe follows the tips' slow tilt by.
     toe_variance : (k,)
         Of the matching, and of exposures that wander.
     rest_residual, rest_variance : (c,) or (c + 1,)
@@ -86,7 +84,6 @@ class Expectation:
     motion: Motion
     toe_residual_rad: Floats
     toe_posterior: Floats
-    tilt_gain: Floats
     toe_variance: Floats
     rest_residual: Floats
     rest_variance: Floats

@@ -94,13 +94,12 @@ class FlightModel:
         effects = tuple(term.effect for term in terms)
         wing = WingModel(self.belief.wing(deviation), effects)
         motion = self._motion(wing, terms, deviation, near, small_step)
-        posterior = gain = np.zeros((0, 0))
+        posterior = near.toe_posterior if near is not None else np.zeros((0, 0))
         toe, variance = np.zeros(0), np.zeros(0)
         if self._toe is not None:
-            lent = None if near is None else (near.toe_posterior, near.tilt_gain)
-            posterior, gain = lent or self._toe.posterior(wing, effects, motion)
-            toe, variance = self._toe.residual(wing, effects, deviation, motion, gain)
-        return Expectation(motion, toe, posterior, gain, variance, *self._rest(effects, deviation))
+            toe, variance = self._toe.residual(wing, effects, deviation, motion)
+            posterior = self._toe.posterior(wing, effects, motion) if near is None else posterior
+        return Expectation(motion, toe, posterior, variance, *self._rest(effects, deviation))
 
     def acceleration_spectrum(self, deviations: Floats) -> Complexes:
         """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""

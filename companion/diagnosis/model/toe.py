@@ -6,13 +6,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from companion.core.stereo.geometry import Rig, epipolar_axes
 from companion.core.wing.effect import CameraView, Effect, viewed
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations, ToeData
-from companion.diagnosis.data.tip_tilt import slope_rows, slow_response
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.expectation import Motion
@@ -42,25 +40,17 @@ class ToeModel:
         self._lag = place.astype(np.int32)
         self._beyond = place - self._lag
         self._cached: tuple[Motion, object, Floats] | None = None
-        self._tilt = None if toe.tilt is None else toe.tilt.together()
-        self._slow = slow_response(f_hz, belief.airframe.wing.symmetric.frequency_hz.value)
-        self._cached_tilt: tuple[Motion, Floats] | None = None
 
     def residual(
-        self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: Motion, gain: Floats
+        self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: Motion
     ) -> tuple[Floats, Floats]:
-        """Measured minus expected toe, and the variance of the measurement, (k,) each.
-
-        ``gain`` (k, k) is what the toe follows the tips' slow tilt by, from :meth:`posterior`.
-        """
+        """Measured minus expected toe, and the variance of the measurement, (k,) each."""
         toe = self._toe
         views = [viewed(effects, side, 0.0) for side in Side]
         late_s = 0.5 * (views[0].exposure_delay_s + views[1].exposure_delay_s)
         rows = self._slope(wing, views)
         row = rows.sum(0)
         expected = self._bending(motion, row, late_s)
-        if self._tilt is not None:
-            expected = expected + gain @ (self._tilt[0] - self._slow_tilt(wing, motion))
         expected = expected + sum(self._static(wing, side, views[side], toe.t_s + late_s) for side in Side)
         sign = (-1.0, 1.0)
         rotation = sum(sign[side] * float(views[side].rotation_rad[1]) for side in Side)
@@ -119,52 +109,20 @@ class ToeModel:
         )
         return deflection, speed
 
-    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> tuple[Floats, Floats]:
-        """Covariance of the toe that the accelerations leave, (k, k), rad^2, and its gain on the tips' slow tilt.
-
-        With a reference, the covariance is that of the toe's mean, too. The tilt is one more measurement of the motion
-        that the accelerations leave. With P the covariances of toe y and tilt g, and R that of the tilt's error, the
-        gain is P_yg (P_gg + R)^-1, and P_yy - gain P_gy is left. Without a tilt the gain is empty.
-        """
+    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
+        """Covariance of the toe that the accelerations leave, (k, k), rad^2; with a reference, that of its mean too."""
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
         unknown = prior - product(motion.smoother, adjoint(motion.cross))
-
-        def between(rows: Complexes, others: Complexes) -> Floats:
-            return np.asarray(product(product(rows, unknown), adjoint(others))[0, 0].real)
-
-        density = between(row, row)
+        density = product(product(row, unknown), adjoint(row))[0, 0].real
         if not self._toe.has_reference:
             density[0] = 0.0  # the residual's mean is taken out
-        of_toe = self._covariance(np.maximum(density, 0.0))
-        if self._tilt is None:
-            return of_toe, np.zeros((0, 0))
-        tilted = self._tilt_row(wing)[None]
-        crossed = self._covariance(between(row, tilted))
-        factor = cho_factor(self._covariance(np.maximum(between(tilted, tilted), 0.0)) + self._tilt[1])
-        gain = cho_solve(factor, crossed.T).T
-        left = of_toe - gain @ crossed.T
-        return 0.5 * (left + left.T), np.asarray(gain)
-
-    def _covariance(self, density: Floats) -> Floats:
-        """Covariance (k, k) at the exposures of a two-sided density (f,)."""
         m = _FINER * self._transforms.count
-        lags = np.fft.irfft(density, m) * (_FINER / self._transforms.dt_s)
+        lags = np.fft.irfft(np.maximum(density, 0.0), m) * (_FINER / self._transforms.dt_s)
         # periodic like the transform, which keeps it positive definite
         lags = np.append(lags, lags[0])
         return np.asarray(lags[self._lag] * (1.0 - self._beyond) + lags[self._lag + 1] * self._beyond)
-
-    def _tilt_row(self, wing: WingModel) -> Complexes:
-        """Slow tilt of the tips per modal deflection, (n, f)."""
-        return np.asarray(slope_rows(wing)[:, None] * self._slow, dtype=np.complex128)
-
-    def _slow_tilt(self, wing: WingModel, motion: Motion) -> Floats:
-        """Slow tilt of the smoothed motion at the exposures; kept, for camera parameters leave it as it is."""
-        if self._cached_tilt is None or self._cached_tilt[0] is not motion:
-            tilt = np.sum(self._tilt_row(wing) * motion.modal, axis=0)
-            self._cached_tilt = motion, self._transforms.at(tilt, self._toe.t_s)
-        return self._cached_tilt[1]
 
     def _bending(self, motion: Motion, row: Complexes, late_s: float) -> Floats:
         """Toe of the smoothed bending at the exposures, (k,), rad; kept, as most camera parameters do not change it."""
