@@ -309,7 +309,7 @@ def test_modes_of_a_gusty_flight_lie_within_their_sigma() -> None:
 
 @pytest.mark.slow
 def test_one_mode_of_a_minute_in_gusts_is_as_far_off_as_its_sigmas_say() -> None:
-    """By the blocks' scatter alone the damping was 1.9 sigma off rms, 7.5 where a record and its blocks disagree."""
+    """The blocks' scatter alone left the damping 1.9 sigma off rms, 7.5 where a record and its blocks disagree."""
     over = []
     for seed in range(24):
         estimates = ambient_modes(_gust_driven(seed, ((6.8, 0.05, 1.0),), 60.0)[:, np.newaxis], 200.0, (2.0, 40.0))
