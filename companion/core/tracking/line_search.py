@@ -248,15 +248,15 @@ def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int
     ratios: dict[int, float] = {}
     for _, station in by_station(channels):
         together = list(station)
-        rate_hz, turned_rad = together[0].rate_hz, np.interp(together[0].t_s, t_s, phase_rad)
-        swings = np.stack([channel.swing() for channel in together])
+        rate_hz, (swings, turned_rad) = together[0].rate_hz, _station_turn(together, t_s, phase_rad)
+        by_leader = swings * np.exp(-1j * turned_rad)
         for multiple in MULTIPLES:
             frequency_hz = multiple * leader.frequency_hz / PARTS
             if _LOWEST_TURNED_HZ <= frequency_hz <= HIGHEST_RATIO * rate_hz:
                 turned = swings * np.exp(-1j * multiple / PARTS * turned_rad)
                 ratio = _turned_ratio(turned, rate_hz)
-                may_be_mode = frequency_hz < LOWEST_HZ and _outweighs(turned, swings * np.exp(-1j * turned_rad))
-                if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)) and not may_be_mode:
+                is_line = ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0))
+                if is_line and not (frequency_hz < LOWEST_HZ and _outweighs(turned, by_leader)):
                     ratios[multiple] = ratio
             if multiple in _PAUSE_AFTER:
                 yield
@@ -272,10 +272,14 @@ def is_harmonic_of_mode(leader: Peak, channels: list[ChannelWindow]) -> bool:
     for _, station in by_station(channels):
         together = list(station)
         if any(channel is leader.channel for channel in together):
-            swings, turned_rad = np.stack([channel.swing() for channel in together]), together[0].t_s
-            turned_rad = np.interp(turned_rad, t_s, phase_rad)
+            swings, turned_rad = _station_turn(together, t_s, phase_rad)
             return _outweighs(swings * np.exp(-0.5j * turned_rad), swings * np.exp(-1j * turned_rad))
     return False
+
+
+def _station_turn(together: list[ChannelWindow], t_s: Floats, phase_rad: Floats) -> tuple[Floats, Floats]:
+    """Swings (k, n) of a station's channels, and the leader's phase (n,), rad, at their instants."""
+    return np.stack([channel.swing() for channel in together]), np.interp(together[0].t_s, t_s, phase_rad)
 
 
 def _outweighs(turned: Complexes, by_leader: Complexes) -> bool:
