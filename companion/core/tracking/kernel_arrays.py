@@ -66,10 +66,11 @@ def _rank_shares(layout: StateLayout, model: DiscreteWingModel) -> tuple[Floats,
     for family, covariance in zip(layout.families, by_family, strict=True):
         rates = [v for _, v in family.pairs]
         covariance[: len(rates), : len(rates)] = model.noise[np.ix_(rates, rates)] / model.step_s**2
-    alone, left_open = given_sum(by_family.sum(axis=0))
+    of_tip = by_family.sum(axis=0)
+    alone, left_open = given_sum(of_tip)
     (symmetric, open_symmetric), (antisymmetric, open_antisymmetric) = map(given_sum, by_family)
     fraction = np.stack([alone, 0.5 * (symmetric + antisymmetric), 0.5 * (symmetric - antisymmetric)])
-    return fraction, np.stack([open_symmetric + open_antisymmetric, left_open, by_family.sum(axis=0)])
+    return fraction, np.stack([open_symmetric + open_antisymmetric, left_open, of_tip])
 
 
 def given_sum(covariance: Floats) -> tuple[Floats, Floats]:
