@@ -245,7 +245,7 @@ def test_doubt_of_the_calibration_ends_and_needs_features() -> None:
     contradictions = [filtered._flown(_before(1e-5), _view(faster_mps=8.0), NO_BEND, 0)[1] for _ in range(40)]
     assert (10.0 / 4.0) ** 2 <= filtered.lens_ratio < 2.0 * (10.0 / 4.0) ** 2
     assert contradictions == [True] * 40
-    assert filtered.doubted_in_vain
+    assert filtered.flow_left_aside
 
 
 def test_few_features_are_no_contradiction_after_a_flow_that_agreed() -> None:

@@ -126,7 +126,7 @@ class EpipolarFilter:
         """Prior variance of the lens terms over the one that the calibration states."""
         self._updated_ns: int | None = None
         self._flow_used_ns: int | None = None
-        self.doubted_in_vain = False
+        self.flow_left_aside = False
         """Whether the flow was refused from the start, even by a calibration that is doubted as far as it may be."""
         self._test = MatchTest()
         self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
@@ -250,11 +250,11 @@ class EpipolarFilter:
             if used_ns is not None:
                 return answer, t_host_ns - used_ns <= _CONTRADICTION_NS
             if self.lens_ratio >= _MOST_DOUBT:
-                self.doubted_in_vain = True
+                self.flow_left_aside = True
                 return answer, True
             self.lens_ratio *= _DOUBT
             return replace(answer, covariance=_DOUBT * answer.covariance), True
-        self._flow_used_ns, self.doubted_in_vain = t_host_ns, False
+        self._flow_used_ns, self.flow_left_aside = t_host_ns, False
         return with_considered_states(updated, answer.mean, answer.covariance, CONSIDERED_IN_FLOW_STATES), False
 
     def _doubt_lenses(self) -> None:

@@ -72,7 +72,7 @@ class ExtrinsicsDriftFilter:
     @property
     def flow_left_aside(self) -> bool:
         """Whether no flow has ever agreed, by far: its velocity, the surface or the calibration is wrong."""
-        return self._filter.doubted_in_vain
+        return self._filter.flow_left_aside
 
     def reopen(self) -> None:
         """Widen the rotation's variance: matches measure it anew from now on."""
