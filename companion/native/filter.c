@@ -86,6 +86,7 @@ typedef struct {
 
     int64_t ranks;
     moving_tip tip[2];
+    double beyond[2]; /* see beyond_expected */
     int64_t count, used[ROWS], position[ROWS];
     double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
     double *state, *linearised, *H, *HP, *next_state, *next_covariance, *factor; /* the last: entries of a row */
@@ -186,7 +187,7 @@ static void find_lift_rates(const run *f, int64_t k, int side, rank_shares share
                             double *inside)
 {
     const double *start = f->linearised + MODES + side + 2, *moment = f->rows + k * ROWS + M_LEFT;
-    double own = beyond_expected(f, k, side), other = beyond_expected(f, k, 1 - side), step_s = f->constants->step_s;
+    double own = f->beyond[side], other = f->beyond[1 - side], step_s = f->constants->step_s;
     for (int64_t b = 0; b < f->ranks; b++) {
         accelerations[b] = start[b * EACH_RANK + 2] + share.own[b] * own + share.other[b] * other;
         inside[b] = -step_s * (share.own[b] * moment[side] + share.other[b] * moment[1 - side]);
@@ -675,6 +676,8 @@ static bool step(run *f, int64_t k, int64_t slot)
     linearise_state(f);
     select_rows(f, f->present + k * ROWS);
     f->h.row_count[slot] = f->count;
+    for (int side = 0; side < 2; side++)
+        f->beyond[side] = beyond_expected(f, k, side);
     for (int side = 0; side < 2; side++)
         f->tip[side] = find_moving_tip(f, k, side);
     linearise_rows(f, k);
