@@ -13,7 +13,7 @@ from companion.core.wing.effects import catalogue
 from companion.core.wing.model import WingModel
 from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.flights.recordings import Flights, diagnose
-from companion.diagnosis.flights.rival_models import _at_nothing, _clocks
+from companion.diagnosis.flights.rival_models import _at_nothing, _clocks, _held_alike
 from companion.diagnosis.flights.screen import screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
@@ -52,6 +52,20 @@ def of_title(title: str) -> EffectTerm:
 
 def term_of(name: str, **values: float) -> EffectTerm:
     return EffectTerm(catalogue()[name].from_values(values))
+
+
+@pytest.mark.slow
+def test_a_law_and_a_name_are_held_against_one_toe_covariance() -> None:
+    """Where only the covariance differs that each fit took for the toe, neither explains more."""
+    model = flown()
+    named = fit([model], ())
+    (expectation,) = named.state.expectations
+    wider = dataclasses.replace(expectation, toe_posterior=1.5 * expectation.toe_posterior)
+    rival = dataclasses.replace(
+        named, log_likelihood=model.log_likelihood(wider), state=dataclasses.replace(named.state, expectations=(wider,))
+    )
+    assert abs(rival.log_likelihood - named.log_likelihood) > 2.0
+    assert _held_alike([model], rival, named).log_likelihood == pytest.approx(named.log_likelihood, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ less than half of either. Fitted in place of each other, they differ by the whol
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from companion.diagnosis.flights.proposals import find_proposals, proposed_terms
 from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import FlightFit, fit, log_count
+from companion.diagnosis.model.flights import FlightFit, FlightsLikelihood, fit, log_count
 from companion.diagnosis.model.generic_effects import (
     GenericClockStep,
     generic_clock_settings,
@@ -97,11 +98,33 @@ def strongest_rival_model(
         key=lambda entry: -entry[0].log_odds,
     )
     competing_models = [
-        RivalModel(entry.law.name, worth(entry.price, fitted, null) - worth(entry.price, named_fit, null) + entry.lead)
+        RivalModel(
+            entry.law.name,
+            worth(entry.price, _held_alike(models, fitted, named_fit), null)
+            - worth(entry.price, named_fit, null)
+            + entry.lead,
+        )
         for entry in _competitors(leading, count, ahead, _cost_of_others(screening, named_rows, count))
         if (fitted := _refitted(models, null, entry.law)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
+
+
+def _held_alike(models: Sequence[FlightModel], rival: FlightFit, named_fit: FlightFit) -> FlightFit:
+    """The rival with the likelihood by which it differs from the names where one toe covariance holds for both.
+
+    A fit takes the toe's posterior covariance as constant, and that depends on a sensor's noise, of which the
+    accelerations may leave decades open: where each fit happens to end, ranges gain or lose nats that no law explains.
+    The mean of the difference by the covariance of either has none of that.
+    """
+    by_names = _log_likelihood(models, rival, named_fit) - named_fit.log_likelihood
+    by_rival = rival.log_likelihood - _log_likelihood(models, named_fit, rival)
+    return dataclasses.replace(rival, log_likelihood=named_fit.log_likelihood + 0.5 * (by_names + by_rival))
+
+
+def _log_likelihood(models: Sequence[FlightModel], fitted: FlightFit, beside: FlightFit) -> float:
+    """Log likelihood of a fit with the toe's posterior covariance of another."""
+    return FlightsLikelihood(models, fitted.terms).log_likelihood(fitted.values, beside.state)
 
 
 def _competitors(
