@@ -8,8 +8,10 @@ import pytest
 
 from tools.bench.apply import HeldOut, Row, table
 
-CALM = HeldOut("baseline-error", ("baseline-error",), True, ((5e-3, 1e-3), (1.1e-3, 1e-3), (1e-3, 1e-3)), 1800.0, 0.9)
-WITHHELD = HeldOut("baseline-error", (), True, ((math.nan, math.nan),) * 3, 1800.0, 0.0)
+CALM = HeldOut(
+    "baseline-error", ("baseline-error",), True, ((5e-3, 1e-3), (1.1e-3, 1e-3), (1e-3, 1e-3), (5e-4, 5e-4)), 1800.0, 0.9
+)
+WITHHELD = HeldOut("baseline-error", (), True, ((math.nan, math.nan),) * 4, 1800.0, 0.0)
 
 
 def test_a_flight_without_a_trusted_instant_moves_no_error() -> None:

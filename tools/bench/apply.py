@@ -5,13 +5,16 @@
 
 For each flight two minutes are flown (truth drawn from the airframe's priors), each from 100 m down to 20 m: errors of
 baseline and focal length show only in how they change with the range. The first is diagnosed, the airframe extended by
-what was named and read back from its file. Held against the second minute, the extended airframe must be adequate;
-there the service's tracker then corrects ranges with three airframes: as believed, as extended, and as it truly is with
-the effect in force (the oracle). Range errors are without matching noise, as at 60 m, rms over an effect's flights, and
-the extended airframe's is to be the oracle's within 10 %; behind it stands its standard error (jackknife over flights),
-for of one flight it is a draw of constants. Judged are instants at which the tracker trusts itself, with the extended
-airframe and as the oracle (``WingTracker.distrust``): at others no range would be published. No matches hold the slow
-part of the toe here, as they do in flight: in brackets stands what is left about each flight's mean.
+what was named and read back from its file; where nothing was named and nothing is left over, it has the fitted
+constants alone, as ``spanwise identify flight`` writes them, and an unexplained recording leaves it as believed. Held
+against the second minute, the extended airframe must be adequate. There the service's tracker corrects ranges with four
+airframes: as believed; as extended; the oracle's, which was told the effect and fitted it to the first minute from its
+true values on (the oracle of the trials); and as it truly is in every constant, which no minute tells. Range errors are
+without matching noise, as at 60 m, rms over an effect's flights, and the extended airframe's is to be the oracle's
+within 10 %; behind it stands its standard error (jackknife over flights), for of one flight it is a draw of constants.
+Judged are instants at which the tracker trusts itself with each of the last three (``WingTracker.distrust``): at others
+no range would be published. No matches hold the slow part of the toe here, as they do in flight: in brackets stands
+what is left about each flight's mean.
 """
 
 from __future__ import annotations
@@ -35,7 +38,13 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import log_rotation, relative_rotation
 from companion.core.wing.effects import apply_to_airframe, catalogue
 from companion.diagnosis.flights.adequacy import check
+from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.flights.recordings import Flights, diagnose
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import fit
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.recordings import Cause
 from companion.evaluation.extended_airframe import extended
 from companion.evaluation.flight_models import models_of
 from companion.params.airframe import Airframe, NamedEffect
@@ -58,7 +67,7 @@ EFFECTS = {
     "convergence-offset": {"toe_rad": 0.01},
     "camera-asymmetry": {"ratio": 0.12, "both": 0.12},
 }
-"""Each some ten sigmas of what a minute tells."""
+"""Each some ten sigmas of what a calm minute tells; of the baseline and the focal length two to six."""
 WANTED = 0.10
 _AT_M, _HALF_S, _SETTLED_S, _LAG_S, _EVERY_S = 60.0, 60.0, 12.0, 0.5, 0.1
 _CLIMB_S = 12.0
@@ -69,7 +78,8 @@ _TICK_NS = 4_000_000
 class HeldOut:
     """One flight: what was named, whether that is adequate in the held-out minute, and errors of the toe there, rad.
 
-    Each error is rms and about its mean: as believed, as applied, and the oracle's, NaN where nothing was judged.
+    Each error is rms and about its mean: as believed, as applied, the oracle's, and with every constant known; NaN
+    where nothing was judged.
     ``m_per_rad`` makes ranges at 60 m. ``judged`` is the share of instants that were.
     """
 
@@ -89,14 +99,14 @@ class Row:
 
     @property
     def errors_rad(self) -> Floats:
-        """Errors (believed, applied, oracle) x (rms, about each flight's mean), rms over judged flights, rad."""
+        """Errors (believed, applied, oracle, all known) x (rms, about each flight's mean), rms over flights, rad."""
         errors = [flight.errors_rad for flight in self.flights if flight.judged > 0.0]
-        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0))) if errors else np.full((3, 2), np.nan)
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0))) if errors else np.full((4, 2), np.nan)
 
     @property
     def excess(self) -> float:
         """Range error over the oracle's."""
-        _, applied, oracle = self.errors_rad[:, 0]
+        _, applied, oracle, _ = self.errors_rad[:, 0]
         return float(applied / oracle - 1.0)
 
     @property
@@ -122,18 +132,33 @@ def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> HeldOut:
     first, second = (_minute(folder, k) for k in range(2))
     models = models_of([first], airframe)
     diagnosis = diagnose(models, list(catalogue().values()))
-    text = dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units))
-    applied = parse_airframe(text, "extended.toml")
+    unexplained = diagnosis.verdict is DiagnosisVerdict.UNEXPLAINED
+    applied = airframe if unexplained else _written(airframe, models[0], diagnosis)
+    oracle = _written(airframe, models[0], _with_hidden_effect(models, diagnosis, name))
     again = models_of([second], applied)
     adequate = all(entry.passed for entry in check(again, Flights(again).null()))
-    oracle = dataclasses.replace(flight.real.actual, effects=hidden)
-    airframes = (airframe, applied, oracle)
+    airframes = (airframe, applied, oracle, dataclasses.replace(flight.real.actual, effects=hidden))
     flown = [tracked(second, entry) for entry in airframes]
-    trusted = flown[1].trusted_ns & flown[2].trusted_ns & flown[0].bends.keys()
+    trusted = flown[0].bends.keys() & frozenset.intersection(*(entry.trusted_ns for entry in flown[1:]))
     errors = tuple(toe_error_rad(flight, *entry, sorted(trusted)) for entry in zip(airframes, flown, strict=True))
     named = tuple(cause.term.effect.name for cause in diagnosis.causes)
     m_per_rad = _AT_M**2 / Rig.from_airframe(airframe).baseline_m
-    return HeldOut(name, named, adequate, errors, m_per_rad, len(trusted) / max(len(flown[2].bends), 1))
+    return HeldOut(name, named, adequate, errors, m_per_rad, len(trusted) / max(len(flown[0].bends), 1))
+
+
+def _written(airframe: Airframe, model: FlightModel, diagnosis: FlightDiagnosis) -> Airframe:
+    """The extended airframe, read back from its file."""
+    text = dump_airframe(extended(airframe, model.belief, diagnosis, model.observations.units))
+    return parse_airframe(text, "extended.toml")
+
+
+def _with_hidden_effect(models: Sequence[FlightModel], diagnosis: FlightDiagnosis, name: str) -> FlightDiagnosis:
+    """The diagnosis of one who knows which effect was hidden: fitted to the same minute from its true values on."""
+    true_term = EffectTerm(catalogue()[name].from_values(EFFECTS[name]))
+    fitted = fit(models, (true_term,), diagnosis.null.values)
+    (term,), (block,) = fitted.terms, fitted.blocks
+    cause = Cause(term, (), math.inf, -math.inf, math.inf, tuple(fitted.values[list(block)].tolist()))
+    return dataclasses.replace(diagnosis, causes=(cause,), final=fitted)
 
 
 def two_minutes() -> FlightPlan:
@@ -237,8 +262,9 @@ def tracked(folder: Path, airframe: Airframe) -> Tracked:
 def table(rows: list[Row]) -> str:
     """A line for each effect."""
     lines = [
-        "| hidden | named from the first minute | adequate | judged | believed | applied | oracle | over the oracle |",
-        "|---|---|---|---|---|---|---|---|",
+        "| hidden | named from the first minute | adequate | judged | believed | applied | oracle | all known |"
+        " over the oracle |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         count = len(row.flights)
