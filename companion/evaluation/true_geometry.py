@@ -21,6 +21,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
+from companion.sim.flight.truth import by_family
 from companion.sim.vision.posed_pair import PosedPair
 
 
@@ -124,8 +125,8 @@ class TrueGeometry:
         sample = self.flight.truth.at(t_host_ns - self.start_host_ns)
         return Deflection(
             t_host_ns=t_host_ns,
-            q_m=sample.q_m[:2] + sample.q_m[2:],
-            qdot_mps=sample.qdot_mps[:2] + sample.qdot_mps[2:],
+            q_m=by_family(sample.q_m),
+            qdot_mps=by_family(sample.qdot_mps),
             slope_rad=sample.slope_rad,
             covariance=np.zeros((6, 6)),
             body_rate_radps=sample.body_rate_radps,

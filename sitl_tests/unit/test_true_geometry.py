@@ -10,6 +10,7 @@ import pytest
 from companion.evaluation.accuracy_targets import published_off_axis
 from companion.evaluation.shot_scores import PipelineOutputs
 from companion.evaluation.true_geometry import TrueGeometry
+from companion.params.airframe import Mode, Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, CorrectedRange, MatchSet, Side
@@ -47,6 +48,19 @@ def test_bending_is_toe_of_a_pair_that_looks_down_and_roll_of_one_that_looks_ahe
     toe_rad = np.array([judge.true_toe_rad(_exposed(t_s)) for t_s in EXPOSED_S])
     assert np.ptp(slope_rad) > 4.0 * MOUNTED_RAD
     np.testing.assert_allclose(toe_rad, toe_per_slope * slope_rad, atol=MOUNTED_RAD)
+
+
+def test_true_deflection_has_the_lift_of_every_mode() -> None:
+    """A family may have a third mode: both tips' lift is that of all, left less, right more the antisymmetric."""
+    airframe = load_airframe("nadir-2m")
+    third = Mode(Uncertain(75.0, 3.0), Uncertain(0.02, 0.01), Uncertain(7.85, 0.3))
+    wing = dataclasses.replace(airframe.wing, further_symmetric=(third,))
+    flight = build_flight(dataclasses.replace(airframe, wing=wing), 1, 1.0)
+    judge = TrueGeometry(flight, PosedPair(flight.real.actual, flight.truth, ground_scene(1)), Settings(), 0)
+    true, estimate = flight.truth.at(500_000_000), judge.true_deflection(500_000_000)
+    assert len(true.q_m) > 4
+    for families, lift in ((estimate.q_m, true.lift_m), (estimate.qdot_mps, true.lift_rate_mps)):
+        assert [families[0] - families[1], families[0] + families[1]] == pytest.approx(lift.tolist())
 
 
 def test_the_toe_lies_in_the_plane_of_the_baseline_as_flown() -> None:

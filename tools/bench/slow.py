@@ -49,6 +49,7 @@ from companion.records import (
 )
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
+from companion.sim.flight.truth import by_family
 from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import IDEAL
 
@@ -181,7 +182,7 @@ class TrueEyes:
 
     def _bend(self, boot_ns: int) -> Deflection:
         truth = self._flight.truth.at(boot_ns)
-        q, qdot = truth.q_m[:2] + truth.q_m[2:], truth.qdot_mps[:2] + truth.qdot_mps[2:]
+        q, qdot = by_family(truth.q_m), by_family(truth.qdot_mps)
         return Deflection(boot_ns, q, qdot, truth.slope_rad, np.zeros((6, 6)), truth.body_rate_radps, 0, 0.0)
 
     def _ground(self, boot_ns: int, rng: np.random.Generator) -> Floats:

@@ -88,6 +88,11 @@ class TipShape:
         return cls(*model.all_slots(rows))
 
 
+def by_family(modal: Floats) -> Floats:
+    """Tip deflection or its rate by all modes of the symmetric and of the antisymmetric family, (2,) of (s,)."""
+    return np.array([modal[0::2].sum(), modal[1::2].sum()])
+
+
 def body_from_ned_matrix(euler_rad: Floats) -> Floats:
     """Rotation matrices (n, 3, 3) from roll, pitch, yaw (n, 3), the aerospace 3-2-1 sequence."""
     cos, sin = np.cos(euler_rad), np.sin(euler_rad)
