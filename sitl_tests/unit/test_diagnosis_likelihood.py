@@ -21,6 +21,7 @@ from companion.diagnosis.model.linear_spectra import Spectra
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
+from companion.diagnosis.spectral_matrices import Complexes
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
@@ -190,6 +191,26 @@ def test_a_third_mode_of_the_file_is_fitted_like_the_others(airframe: Airframe) 
     value, sigma = fitted.value("further_symmetric.0.frequency")
     assert 0.0015 < sigma < 0.006
     assert value == pytest.approx(0.08, abs=4.0 * sigma)
+
+
+def test_three_modes_share_one_gust(airframe: Airframe) -> None:
+    """No coherences with the first mode, however large, make a load of negative power; fully coherent ones make one."""
+    modes = [dataclasses.replace(airframe.wing.symmetric, frequency_hz=Uncertain(f_hz, 0.1)) for f_hz in (14.0, 30.0)]
+    wing = dataclasses.replace(airframe.wing, second_symmetric=modes[0], further_symmetric=(modes[1],))
+    spectra = Spectra(dataclasses.replace(airframe, wing=wing), (Side.LEFT, Side.RIGHT), np.linspace(0.0, 40.0, 5))
+    structure = WingModel(wing).structure
+
+    def gust(second: float, third: float) -> Complexes:
+        shared = {"second_symmetric.coherence": second, "further_symmetric.0.coherence": third}
+        load = spectra.linear(structure, np.ones(2), (), shared).load
+        symmetric = np.flatnonzero(np.array(structure.slots) % 2 == 0)
+        return np.moveaxis(load[np.ix_(symmetric, symmetric)], -1, 0)
+
+    for second, third in ((1.0, 1.0), (1.5, -1.5), (-5.0, 0.7)):
+        power = np.linalg.eigvalsh(gust(second, third))
+        assert np.all(power >= -1e-12 * power.max())
+    together = np.linalg.eigvalsh(gust(5.0, 5.0))
+    assert np.all(together[:, :-1] <= 1e-12 * together[:, -1:])
 
 
 def _raw(t_s: Floats, force: Floats) -> RawRecording:

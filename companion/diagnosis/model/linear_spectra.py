@@ -149,19 +149,39 @@ class Spectra:
         return load
 
     def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:
-        """Add the gust that modes of one symmetry share, in part or wholly."""
-        for i in range(1, structure.count):
-            slot = structure.slots[i]
-            first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
-            name = slot_name(slot) if i < len(self._level) else ADDED
-            # full coherence is possible: it lies a few prior sigmas away, and not at infinity
-            shared = float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
-            if i != first and shared:
-                load = full(load).copy()
-                both = shared * np.sqrt(load[first, first] * load[i, i])
-                load[first, i] += both
-                load[i, first] += both
-        return load
+        """Add the gust that modes of one symmetry share: rho_j rho_k between modes j and k, with rho 1 of the first.
+
+        This is one gust for all of them, seen by each to its share: no three coherences contradict each other.
+        """
+        families = self._families(structure)
+        coherences = [
+            1.0 if i == first else self._coherence(i, structure, deviation) for i, first in enumerate(families)
+        ]
+        pairs = [
+            (j, k, coherences[j] * coherences[k])
+            for k in range(1, structure.count)
+            for j in range(k)
+            if families[j] == families[k] and coherences[j] * coherences[k]
+        ]
+        if not pairs:
+            return load
+        coherent, density = full(load).copy(), [load[i, i] if load.ndim == 3 else load[i] for i in range(len(load))]
+        for j, k, shared in pairs:
+            both = shared * np.sqrt(density[j] * density[k])
+            coherent[j, k] += both
+            coherent[k, j] += both
+        return coherent
+
+    def _families(self, structure: Structure) -> list[int]:
+        """Index of the first mode of each mode's symmetry; a wing of one symmetry has one family."""
+        both = len(self._level) > 1
+        return [slot % 2 if both else 0 for slot in structure.slots]
+
+    def _coherence(self, i: int, structure: Structure, deviation: Mapping[str, float]) -> float:
+        """Coherence of a mode's gust with that of the first mode of its symmetry."""
+        name = slot_name(structure.slots[i]) if i < len(self._level) else ADDED
+        # full coherence is possible: it lies a few prior sigmas away, and not at infinity
+        return float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
 
     def _response(self, channel: int, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         side = self.sides[channel]
