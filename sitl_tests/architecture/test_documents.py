@@ -70,30 +70,33 @@ def _missing_pages(name: str) -> set[str]:
 
 
 def test_no_document_is_named_that_is_not_shipped() -> None:
-    assert offences(TEXTS, lambda name: UNSHIPPED.findall(text_of(name))) == {}
+    unshipped = offences(TEXTS, lambda name: UNSHIPPED.findall(text_of(name)))
+    assert unshipped == {}, "say what the reader needs to know in place of a paper that is not shipped"
 
 
 def test_pages_exist() -> None:
-    assert offences(TEXTS, _missing_pages) == {}
+    assert offences(TEXTS, _missing_pages) == {}, "these pages are named and are not in the repository (git ls-files)"
 
 
 def test_paths_exist() -> None:
-    assert offences(TEXTS, lambda name: {p for p in _PATH.findall(text_of(name)) if not _path_exists(p)}) == {}
+    missing = offences(TEXTS, lambda name: {p for p in _PATH.findall(text_of(name)) if not _path_exists(p)})
+    assert missing == {}, "these paths are named and are not in the repository (git ls-files)"
 
 
 def test_modules_that_docstrings_name_exist() -> None:
     files = [name for name in TEXTS if name.endswith(".py")]
-    assert offences(files, lambda name: {m for m in _MODULE.findall(text_of(name)) if not _module_exists(m)}) == {}
+    missing = offences(files, lambda name: {m for m in _MODULE.findall(text_of(name)) if not _module_exists(m)})
+    assert missing == {}, "these modules or members are named and do not exist"
 
 
 @pytest.mark.parametrize("room", THEORY)
 def test_a_room_s_readme_names_its_files(room: str) -> None:
     files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
     page = f"{room}/README.md" if (ROOT / room / "README.md").exists() else f"{Path(room).parent}/README.md"
-    assert {name for name in files if name not in text_of(page)} == set()
+    assert {name for name in files if name not in text_of(page)} == set(), f"{page} has a row for each file of its room"
 
 
 def test_every_room_has_a_readme() -> None:
     rooms = {Path(name).parent for name in SHIPPED if name.startswith("companion/") and name.endswith(".py")}
     doors = {room for room in rooms if len(room.parts) == 2} - {Path("companion/records")}  # its docstring is one
-    assert {str(room) for room in doors if f"{room}/README.md" not in SHIPPED} == set()
+    assert {str(room) for room in doors if f"{room}/README.md" not in SHIPPED} == set(), "rooms without a README.md"

@@ -33,7 +33,7 @@ def test_no_effect_s_name_stands_outside_its_own_class(room: str) -> None:
         for line, text in strings(path)
         if text in names
     ]
-    assert not wrong, wrong
+    assert wrong == [], "an effect is found by being in its folder: ask its class, not its name"
 
 
 def test_an_effect_s_name_stands_in_one_file_only() -> None:
@@ -46,7 +46,10 @@ def test_the_page_of_effects_has_each_with_its_parameters_units_and_priors() -> 
     page = (PACKAGE / "diagnosis" / "flights" / "EFFECTS.md").read_text(encoding="utf-8")
     catalogued = page.split("## Forms of an effect")[0]
     rows = {row.split("`")[1]: row for row in catalogued.splitlines() if row.startswith("| `")}
-    assert set(rows) == set(catalogue())
+    assert set(rows) <= set(catalogue()), "rows of EFFECTS.md for effects that no file has"
     for name, kind in catalogue().items():
-        declared = (f"`{p.name}` {p.sigma:g} {p.unit}".rstrip() for p in kind.parameters())
-        assert [entry for entry in declared if entry not in rows[name]] == []
+        law = " ".join((kind.__doc__ or "").partition("\n\n")[0].split()).replace("``", "`").replace("|", r"\|")
+        declared = [f"`{p.name}` {p.sigma:g} {p.unit}".rstrip() for p in kind.parameters()]
+        wanted = f"| `{name}` | {law} | {'; '.join(declared)} | where a fit begins, if not at 0 |"
+        assert name in rows, f"companion/diagnosis/flights/EFFECTS.md needs a row, as: {wanted}"
+        assert [entry for entry in declared if entry not in rows[name]] == [], f"EFFECTS.md; as: {wanted}"

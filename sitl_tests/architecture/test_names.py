@@ -126,16 +126,19 @@ def test_a_class_name_stands_for_one_thing() -> None:
             for node in ast.walk(tree_of(name)):
                 if isinstance(node, ast.ClassDef):
                     places[node.name].append(name)
-    assert {name: where for name, where in places.items() if len(where) > 1} == {}
+    twice = {name: where for name, where in places.items() if len(where) > 1}
+    assert twice == {}, "two classes of one name: name the new one by how it differs"
 
 
 def test_no_variable_is_called_by_an_empty_word() -> None:
-    assert offences(ALL_FILES, _empty_words) == {}
+    assert offences(ALL_FILES, _empty_words) == {}, f"name the thing; these say nothing: {sorted(EMPTY_WORDS)}"
 
 
 def test_no_retired_name_is_back() -> None:
-    assert offences(MODULES, lambda name: RETIRED & set(_defined(tree_of(name)))) == {}
+    back = offences(MODULES, lambda name: RETIRED & set(_defined(tree_of(name))))
+    assert back == {}, "private words that were given up: take the field's"
 
 
 def test_no_docstring_opens_with_an_empty_word() -> None:
-    assert offences(ALL_FILES, _empty_openings) == {}
+    openings = offences(ALL_FILES, _empty_openings)
+    assert openings == {}, "open a docstring with a verb or with the thing, not with Of, By, What or Let"
