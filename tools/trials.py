@@ -85,7 +85,11 @@ def _plan(options: argparse.Namespace) -> list[list[Trial]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the trials that were asked for and write what came out."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    names = GENERATORS[options.generator].names
+    if unknown := sorted(set(options.only) - set(names)):
+        parser.error(f"--only {' '.join(unknown)}: {options.generator} hides only {', '.join(sorted(names))}")
     options.out.mkdir(parents=True, exist_ok=True)
     if not options.show:
         goes_on = options.add or options.acceptance

@@ -11,6 +11,7 @@ import pytest
 
 from companion.core.wing.effects import catalogue
 from companion.evaluation.fleet.runner import write_part
+from tools import trials
 from tools.trial_judge import judge, swings
 from tools.trial_plan import Trial, acceptance
 from tools.trial_results import results, wilson
@@ -34,6 +35,15 @@ def test_hidden_effects_are_as_strong_as_asked_in_loud_and_in_quiet_flights() ->
         for snr_db in (10.0, 20.0):
             assert hide([name], (8.0, 8.0), rng, snr_db).strength(name, snr_db) == pytest.approx(8.0)
     assert sigma_of("cubic-stiffness", 20.0, 2.0) == pytest.approx(sigma_of("cubic-stiffness") / 4.0)
+
+
+def test_an_effect_that_no_trial_hides_is_refused_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as left:
+        trials.main(["--only", "frequency-shift", "soft-spring", "--out", str(tmp_path / "out")])
+    assert left.value.code == 2
+    said = capsys.readouterr().err
+    assert "--only soft-spring: first hides only accel-bias, " in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_close_modes_differ_in_strength_though_none_can_be_as_strong_as_others() -> None:
