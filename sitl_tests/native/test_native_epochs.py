@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from companion import native
 from companion.core.tracking import streams
 from companion.core.tracking.error_jacobians import error_columns
 from companion.core.tracking.rigid_body import _RootNoise, build_epochs
 from companion.core.tracking.sample_outliers import find_outliers
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.core.tracking.states import make_layout
 from companion.core.tracking.streams import StreamSamples, averages
 from companion.params.files import load_airframe
@@ -93,6 +97,14 @@ def test_rows_and_their_jacobian_are_those_of_numpy(filtered: bool) -> None:
         _agree(got, expected, got._fields)
         present += int(got.present.sum())
     assert present > 500
+
+
+def test_the_compiled_jacobian_has_the_errors_in_their_order() -> None:
+    """Two errors that changed places would each fill the other's column."""
+    (enum,) = re.findall(r"enum \{ ([A-Z, ]+), ERRORS \}", (Path(native.__file__).parent / "epochs.c").read_text())
+    compiled = [name.lower() for name in enum.split(", ")]
+    wanted = [*SENSOR_ERRORS, *ROOT_ERRORS]
+    assert compiled == wanted, "enum of native/epochs.c: the errors of core/tracking/sensor_errors.py, in their order"
 
 
 def test_an_error_that_the_compiled_jacobian_does_not_have_is_refused() -> None:

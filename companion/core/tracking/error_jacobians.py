@@ -1,7 +1,7 @@
 """Sensors' errors in the measurement rows: their names, their columns, and which contain a measurement.
 
 The Jacobian of the rows by these errors is ``tip_errors``, ``root_errors`` and ``roll_errors`` in ``native/epochs.c``,
-whose enum has the errors in the order of :data:`SENSOR_ERRORS`, :data:`ROOT_ERRORS`; it refuses another number of them.
+whose enum has the errors of :mod:`companion.core.tracking.sensor_errors` in their order; it refuses another number.
 
 A sensor with scale errors ``k`` (per axis), misalignment ``m`` (small rotation vector) and stamp error ``tau`` reads
 ``(1 + k) (f - m x f)(t - tau)``, and likewise for the rate. The biases of the root's rates change the rest wing's
@@ -16,16 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.tracking.states import (
-    M_LEFT,
-    P_LEFT,
-    P_ROOT,
-    ROOT_ERRORS,
-    SENSOR_ERRORS,
-    Y_LEFT,
-    Z_LEFT,
-    StateLayout,
-)
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, Y_LEFT, Z_LEFT, StateLayout
 from companion.records import Ints
 
 _PLACES = ("root", "left", "right")
@@ -36,7 +28,7 @@ _Z, _M, _Y, _P, _P0 = Z_LEFT, M_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
 def error_columns(layout: StateLayout) -> Ints:
-    """Column of each error (``SENSOR_ERRORS``, ``ROOT_ERRORS``) of root, left and right, (3, 9); -1 where absent."""
+    """Column of each error (``SENSOR_ERRORS``, ``ROOT_ERRORS``) of root, left and right, (3, e); -1 where absent."""
     index = {name: at for at, name in enumerate(layout.bias_parameters)}
     return np.array([[index.get(f"{place}.{error}", -1) for error in _ERRORS] for place in _PLACES], np.int64)
 

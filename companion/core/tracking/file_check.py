@@ -6,6 +6,7 @@ import math
 
 from companion.core.tracking.estimates import bias_parameter_estimates
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 
 _PERIOD_S = 1.0  # chosen: between looks
 _MOST_SIGMAS = 6.0  # chosen: sound flights reach 2.7 (constants) and 3.0 (frequencies), a scale 3 % off of 0.5 % 12
@@ -13,21 +14,12 @@ _AGAIN_SIGMAS = 3.0  # chosen: what has contradicted lasts until it is what a so
 _LOOKS = 3  # chosen, in a row: what a blow teaches for a moment is no constant
 FILE_CHECK_S = _LOOKS * _PERIOD_S
 """Time that it takes to find one (derived)."""
-_TERMS = {
-    "kz": ("vertical scale", 100.0, "%"),
-    "ky": ("lateral scale", 100.0, "%"),
-    "kp": ("roll rate's scale", 100.0, "%"),
-    "mx": ("mounting about x", 1e3, "mrad"),
-    "my": ("mounting about y", 1e3, "mrad"),
-    "mz": ("mounting about z", 1e3, "mrad"),
-    "tau": ("stamp offset", 1e3, "ms"),
-    "bp": ("roll rate's bias", 1e3, "mrad/s"),
-    "br": ("yaw rate's bias", 1e3, "mrad/s"),
+_TERMS = {name: (error.words, error.factor, error.unit) for name, error in {**SENSOR_ERRORS, **ROOT_ERRORS}.items()} | {
     "trim": ("trim bend", 1e3, "mm"),
     "bend_per_g": ("bend per g", 1e3, "mm"),
     "bz": ("common vertical bias", 1.0, "m/s2"),
     "shortening": ("shortening", 100.0, "%"),
-}  # words, factor and unit of each constant; all others are slope factors (by definition)
+}  # words, factor and unit of each constant; all others are of a mode (by definition)
 
 
 class FileCheck:

@@ -21,8 +21,9 @@ from companion.core.tracking.bias_information import age_information, marginalis
 from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
 from companion.core.tracking.row_noise import RowNoise
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.core.tracking.slope_error import slope_factor_variance
-from companion.core.tracking.states import ROOT_ERRORS, ROWS, SENSOR_ERRORS, SensorNoise, StateLayout
+from companion.core.tracking.states import ROWS, SensorNoise, StateLayout
 from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertain, Wing
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
@@ -29,8 +30,6 @@ from companion.units import GRAVITY_MPS2
 ROWS = 9  # measurements of one epoch, in the order of the next line (by definition)
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
 MODE_STATES = 4  # deflection, rate and two load states (by definition)
-SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
-ROOT_ERRORS = ("bp", "br")  # biases of its rates, which the tips' centripetal force is computed from
 
 _ABSENT_AXIS_SIGMA_MPS2 = 10.0  # chosen, 1 g: sigma of the root's force along an axis that it does not send
 _SECOND_FREQUENCY_RATIO = 5.5  # derived: a cantilever's is 6.27 (Euler-Bernoulli), less with a tip mass
@@ -217,14 +216,12 @@ def _bias_parameters(airframe: Airframe) -> list[tuple[str, float]]:
         *((f"slope.{name}", mode.slope_factor_radpm.sigma) for name, mode in wing.modes.items()),
     ]
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
-        named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
+        named += [(f"{place}.{name}", error.sigma(sensor)) for name, error in SENSOR_ERRORS.items()]
     named.append(("bz", _common_bias_sigma(airframe)))
     lateral = any("y" in sensor.sends and "z" in sensor.sends for sensor in (airframe.left, airframe.right))
     shortening = wing.shortening
     named.append(("shortening", shortening.sigma / shortening.value if lateral and shortening.value > 0.0 else 0.0))
-    root = airframe.root
-    named += [(f"root.{error}", root.gyro_bias_sigma_radps) for error in ROOT_ERRORS if error[-1] in root.sends]
-    return named
+    return named + [(f"root.{name}", error.sigma(airframe.root)) for name, error in ROOT_ERRORS.items()]
 
 
 def _common_bias_sigma(airframe: Airframe) -> float:
@@ -240,18 +237,6 @@ def _common_bias_sigma(airframe: Airframe) -> float:
     if not lateral_and_vertical or min(sigmas) <= max(tip.accel_scale_sigma for tip in tips) * GRAVITY_MPS2:
         return 0.0
     return float(np.sum(np.power(sigmas, -2.0)) ** -0.5)
-
-
-def _error_sigma(sensor: Sensor, error: str) -> float:
-    """Prior sigma of one sensor's error; 0 where the axis is not sent."""
-    axis = error[-1]
-    if error == "tau":
-        return sensor.time_offset_sigma_s
-    if error == "kp":
-        return sensor.gyro_scale_sigma if "p" in sensor.sends else 0.0
-    if error[0] == "k":
-        return sensor.accel_scale_sigma if axis in sensor.sends else 0.0
-    return sensor.misalignment_sigma_rad
 
 
 @dataclass(frozen=True, slots=True)

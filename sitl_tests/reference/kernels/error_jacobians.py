@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.tracking.error_jacobians import AVERAGED, EARLIER
-from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT
+from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
 _KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len((*SENSOR_ERRORS, *ROOT_ERRORS)))

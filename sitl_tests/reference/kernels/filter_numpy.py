@@ -1,6 +1,6 @@
 """The filter's inner loop in numpy's matrix products: ``native/filter.c``.
 
-One function per equation of :mod:`companion.core.tracking.filter`; ``test_native_filter`` holds both to one result.
+One function per equation of :mod:`companion.core.tracking.filter`; ``test_tracking_kernel.py`` compares both.
 """
 
 from __future__ import annotations
