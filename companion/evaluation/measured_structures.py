@@ -25,7 +25,7 @@ from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
-from companion.evaluation.pages.flutter_page import flutter_page, forced_page
+from companion.evaluation.pages.flutter_page import findings_page, flutter_page
 from companion.evaluation.pages.measured_pages import headline, ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
@@ -195,7 +195,7 @@ def _forced(
         force, answer = table.channels[forces[0]], table.channels[answers[0]]
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer))
     plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
-    return plain, lambda: forced_page(plain, mapping.description)
+    return plain, lambda: findings_page(plain, mapping.description)
 
 
 _DIAGNOSED = {"ringing": _free_decay, "vibration": _vibration, "limit-cycle": _limit_cycle, "forced": _forced}

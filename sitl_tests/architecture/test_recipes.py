@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 import subprocess
@@ -129,13 +130,120 @@ def _write_message_output(tree: Path) -> Path:
 
 @pytest.mark.slow
 def test_what_the_recipes_write_passes_mypy(tree: Path) -> None:
-    files = [str(_write_effect(tree)), str(_write_message_output(tree))]
+    files = [str(path) for path in (_write_effect(tree), _write_message_output(tree), *_write_kind(tree))]
     cache = str(tree / "cache")
     said = _run(tree, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", cache, *files)
-    assert "in 2 source files" in said
+    assert "in 4 source files" in said
 
 
 @pytest.mark.slow
 def test_a_message_output_is_an_encoder_and_a_row_in_one_file(tree: Path) -> None:
     _write_message_output(tree)
     assert _run(tree, "-c", _PUBLISH_ONE).strip() == "DEBUG_VECT 3000000 0.01 -0.002"
+
+
+_WEIGHTS = '''"""Weights hung on a wing: force over deflection, linear or with a cube."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.diagnosis import diagnose
+from companion.diagnosis.selection.regression import Coefficient, RegressionResponse, Regressions, RegressionTerm
+from companion.records import Floats
+
+
+def diagnose_weights(name: str, force: Floats, q: Floats, progress: Callable[[str, float], None]) -> dict[str, Any]:
+    """Findings on one series of forces and deflections, (n,) each."""
+    size = float(np.std(force) / np.std(q))
+    cube = float(np.std(force) / np.std(q**3))
+    fifths = (np.arange(len(q)) * 5 // len(q)).astype(np.float64)
+    response = RegressionResponse(
+        "force", force, np.ones(len(q)), np.zeros(len(q), np.int64), fifths, q, 0.0, size, 0.1 * float(np.std(force)),
+        (Coefficient("stiffness", "force", q, 10.0 * size, "N/m", "linear spring"),),
+    )
+    law = Coefficient("cube", "force", q**3, 10.0 * cube, "N/m^3", "force per cubed deflection")
+    outcome = diagnose(Regressions([response], [RegressionTerm("cubic spring", "", (law,))]), 2, progress)
+    wrong = outcome.verdict is DiagnosisVerdict.UNEXPLAINED
+    gain = outcome.gain and held_out_gain(outcome.gain.before, outcome.gain.after, "N", "force")
+    causes = [
+        cause_head(cause, "")
+        | {"parameters": {"cube": quantity(cause.values[0], cause.sigmas[0], law.unit, law.meaning)}}
+        | {"gain": gain and gain["error"], "advice": "load it further"}
+        for cause in outcome.causes
+    ]
+    return {
+        "format": 1,
+        "recordings": [name],
+        "airframe": None,
+        "verdict": str(outcome.verdict),
+        "reason": outcome.reason or "the spring",
+        "causes": causes,
+        "nearest": None,
+        "gain": gain,
+        "adequacy": adequacy(outcome.before, outcome.after),
+        "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if wrong else None,
+        "airframe_parameters": [],
+        "notes": [],
+    }
+'''
+
+_READER = """
+def _weights(
+    tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
+) -> _Diagnosed:
+    (table,) = tables
+    plain = diagnose_weights(table.path.name, table.channels[_FORCE], table.channels["response_tip_m"], progress)
+    return plain, lambda: findings_page(plain, mapping.description)
+
+
+"""
+
+_MAPPING = """
+description = "weights on a wing"
+test = "weights"
+files = "loads.csv"
+[columns]
+"t" = { channel = "t_s", unit = "s" }
+"F" = { channel = "input_n", unit = "N" }
+"q" = { channel = "response_tip_m", unit = "m" }
+"""
+
+
+def _write_kind(tree: Path) -> list[Path]:
+    kind = tree / "companion/diagnosis/weights.py"
+    kind.write_text(_WEIGHTS)
+    reader = tree / "companion/evaluation/measured_structures.py"
+    code = reader.read_text()
+    assert _ERRORS in code
+    assert _TABLE in code
+    code = code.replace(_ERRORS, "from companion.diagnosis.weights import diagnose_weights\n" + _ERRORS)
+    reader.write_text(code.replace(_TABLE, _READER + _TABLE + '"weights": _weights, '))
+    return [kind, reader]
+
+
+_ERRORS = "from companion.errors import NOTHING_TO_ESTIMATE"
+_TABLE = "_DIAGNOSED = {"
+
+
+@pytest.mark.slow
+def test_a_kind_of_recording_is_a_class_and_a_row(tree: Path) -> None:
+    """A spring of 40 N/m with a cube of 8,000 N/m^3 comes back within four of its sigmas."""
+    _write_kind(tree)
+    q = np.repeat(np.linspace(-0.05, 0.05, 21), 5)
+    force = 40.0 * q + 8000.0 * q**3 + 0.02 * np.random.default_rng(1).standard_normal(len(q))
+    rows = "".join(f"{k},{f:.6f},{d:.6f}\n" for k, (f, d) in enumerate(zip(force, q, strict=True)))
+    (tree / "loads.csv").write_text("t,F,q\n" + rows)
+    (tree / "loads.toml").write_text(_MAPPING)
+    words = ["diagnose", "loads.csv", "--mapping", "loads.toml", "--json", "found.json", "--html", "found.html"]
+    _run(tree, "-m", "companion.cli", *words)
+    (cause,) = json.loads((tree / "found.json").read_text())["causes"]
+    cube = cause["parameters"]["cube"]
+    assert cube["value"] == pytest.approx(8000.0, abs=4.0 * cube["sigma"])
+    assert cube["sigma"] < 400.0
+    assert "cubic spring" in (tree / "found.html").read_text()

@@ -45,32 +45,37 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
 
 
-def forced_page(plain: dict[str, Any], what: str) -> str:
-    """The page of an oscillator with a measured force."""
+def findings_page(plain: dict[str, Any], what: str) -> str:
+    """The page of any kind of recording from what its JSON has: causes, gain, an oscillator's linear part, tests."""
+    body: list[Block] = [*_causes(plain)]
+    if plain["gain"]:
+        error = plain["gain"]["error"]
+        before, after = (100.0 * value for value in error["share_of_signal"])
+        body.append(Paragraph(f"Held-out error of the {error['what']}: {before:.1f} → {after:.1f} % of its rms."))
+    body += [
+        *_linear_part(plain.get("linear")),
+        Heading("What is left"),
+        check_table(plain, "test", "linear wing"),
+        *[Paragraph(note) for note in plain["notes"]],
+    ]
+    return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
+
+
+def _linear_part(linear: dict[str, Any] | None) -> list[Block]:
+    if linear is None:
+        return []
+    heads = ["model", "frequency", "damping ratio", "stiffness", "mass"]
     rows = [
         [
+            name,
             f"{entry['frequency_hz']:.4g} Hz",
             f"{entry['damping_ratio']:.3g}",
             f"{entry['stiffness']:.4g}",
             f"{entry['mass']:.4g}",
         ]
-        for entry in (plain["linear"]["before"], plain["linear"]["after"])
+        for name, entry in (("linear", linear["before"]), ("extended", linear["after"]))
     ]
-    body: list[Block] = [*_causes(plain)]
-    if plain["gain"]:
-        before, after = (100.0 * value for value in plain["gain"]["error"]["share_of_signal"])
-        body.append(
-            Paragraph(f"Force on segments that were not fitted: error {before:.1f} → {after:.1f} % of its rms.")
-        )
-    body += [
-        Heading("Its linear part"),
-        Table(["model", "frequency", "damping ratio", "stiffness", "mass"],
-              [["linear", *rows[0]], ["extended", *rows[1]]]),
-        Heading("What is left"),
-        check_table(plain, "test", "linear wing"),
-        *[Paragraph(note) for note in plain["notes"]],
-    ]  # fmt: skip
-    return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
+    return [Heading("Its linear part"), Table(heads, rows)]
 
 
 def _causes(plain: dict[str, Any]) -> list[Block]:
