@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import pickle
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,6 +34,7 @@ from companion.service import vision
 from sitl_tests.manual_clock import ManualClock
 
 MS = 1_000_000
+FORMATS = Path(__file__).resolve().parents[2] / "config" / "README.md"
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +130,14 @@ def test_a_folder_opens_with_the_airframe_s_exposure(tmp_path: Path, airframe: A
 def test_a_wrong_pair_is_refused_with_the_known_ones(spelling: str, airframe: Airframe) -> None:
     with pytest.raises(ConfigError, match="--cameras"):
         cameras.camera_factory(spelling, airframe, triggered=True)
+
+
+@pytest.mark.parametrize("spelling", [*cameras.SPELLINGS, *triggers.SPELLINGS])
+def test_the_page_of_formats_has_each_spelling(spelling: str) -> None:
+    rows = [line for line in FORMATS.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
+    kind = spelling.split(" ")[0].partition(":")[0]
+    named = [word for row in rows for word in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
+    assert any(word.partition(":")[0] == kind for word in named), f"config/README.md needs a row of `{spelling}`"
 
 
 def test_an_airframe_without_cameras_has_none_to_open(airframe: Airframe) -> None:
