@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any, get_args
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.component import message_outputs
 from companion.adapters.mavlink.component.message_outputs import MessageOutput, OutputPublisher
@@ -50,6 +51,19 @@ def test_refusals_keep_the_rate_of_their_row(monkeypatch: pytest.MonkeyPatch) ->
     """A state that is not finite is counted as often as a finite one would be sent, not with every record."""
     ranges = [a_range(1000 + 20 * k, trusted=False) for k in range(11)]
     assert published(monkeypatch, [None], ranges) == [None] * 3
+
+
+@pytest.mark.parametrize("offset_ns", [-(10**12), 50 * 86_400 * 10**9], ids=["before its boot", "fifty days after"])
+def test_a_time_that_an_encoder_takes_as_it_is_fits_its_field(monkeypatch: pytest.MonkeyPatch, offset_ns: int) -> None:
+    """An autopilot that restarted, or that has run longer than a uint32 of milliseconds."""
+
+    def as_it_is(record: CorrectedRange, time_boot_ms: int) -> list[Any]:
+        return [mavlink.MAVLink_named_value_float_message(time_boot_ms, b"range_m", record.range_m)]
+
+    monkeypatch.setattr(message_outputs, "OUTPUTS", (MessageOutput(CorrectedRange, as_it_is, lambda _: 10.0),))
+    (message,) = OutputPublisher().messages(a_range(1000, trusted=True), SETTINGS, offset_ns)
+    assert message.pack(mavlink.MAVLink(None, 1, 191))
+    assert message.time_boot_ms == (1000 + offset_ns // MS) % 2**32
 
 
 def test_every_output_record_has_an_instant() -> None:

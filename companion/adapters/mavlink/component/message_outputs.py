@@ -17,6 +17,7 @@ from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, ModeState, Record
 
 _SECOND_NS = 1_000_000_000  # by definition
+_LARGEST_BOOT_MS = 0xFFFFFFFF  # by definition: time_boot_ms is a uint32, which wraps after 49.7 days
 _STAMPS = ("t_host_ns", "at_host_ns", "planned_host_ns")  # instant of an output record: the first that it has
 
 
@@ -24,11 +25,11 @@ _STAMPS = ("t_host_ns", "at_host_ns", "planned_host_ns")  # instant of an output
 class MessageOutput:
     """One row: MAVLink messages made of one kind of output record.
 
-    ``record`` is a kind of :data:`companion.records.OutputRecord`. ``encode`` turns a record and its boot time in ms
-    (a plan's is when it was made) into pymavlink messages in wire units, with None in the place of one that cannot be
-    represented; a record of which it makes none takes no other's turn. Ranges come trusted and untrusted: an encoder
-    that sends the range itself looks at ``trusted``. ``rate_hz`` gives the largest rate for the settings; at 0 nothing
-    is sent.
+    ``record`` is a kind of :data:`companion.records.OutputRecord`. ``encode`` turns a record and its boot time in ms,
+    as ``time_boot_ms`` carries it (a plan's is when it was made), into pymavlink messages in wire units, with None in
+    the place of one that cannot be represented; a record of which it makes none takes no other's turn. Ranges come
+    trusted and untrusted: an encoder that sends the range itself looks at ``trusted``. ``rate_hz`` gives the largest
+    rate for the settings; at 0 nothing is sent.
     """
 
     record: type
@@ -57,7 +58,8 @@ class OutputPublisher:
             t_host_ns = next(int(getattr(record, name)) for name in _STAMPS if hasattr(record, name))
             period_ns = _SECOND_NS / rate_hz
             if self._limiter.ready(t_host_ns, row, period_ns):
-                messages = list(output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000))
+                boot_ms = (t_host_ns + boot_offset_ns) // 1_000_000 & _LARGEST_BOOT_MS
+                messages = list(output.encode(record, boot_ms))
                 says_something = any(message is not None for message in messages)
                 # a record that says nothing delays no other, but its refusals are counted at the row's rate too
                 if self._limiter.take(t_host_ns, row if says_something else (row, "refused"), period_ns):
