@@ -54,9 +54,7 @@ def characteristic_roots(count: int, mass_ratio: float, inertia_ratio: float = 0
 
 def _bracketed(low: float, high: float, mass_ratio: float, inertia_ratio: float) -> float:
     ends = [characteristic(x, mass_ratio, inertia_ratio) for x in (low, high)]
-    if (
-        ends[0] * ends[1] >= 0.0
-    ):  # a mode whose tip does not turn feels no rotary inertia: its root is the bracket's end
+    if ends[0] * ends[1] >= 0.0:  # the tip does not turn and feels no rotary inertia: an end is the root
         return low if abs(ends[0]) < abs(ends[1]) else high
     while low < (middle := 0.5 * (low + high)) < high:  # until no number lies between the ends: some 55 halvings
         if characteristic(middle, mass_ratio, inertia_ratio) * ends[0] > 0.0:
