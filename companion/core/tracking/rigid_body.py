@@ -142,7 +142,7 @@ def build_epochs(
     """Epochs with ``BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing.
 
     ``sends`` (3, 6) by stream and axis, ``levers_m`` (2, 3) of the tips from the root, ``error_columns`` as
-    ``tracking.states`` gives them.
+    :func:`companion.core.tracking.error_jacobians.error_columns` gives them.
     """
     edges_ns = first_ns + step_ns * np.arange(-BEFORE, count + _PADDING + 1)
     epochs = _empty(count + BEFORE + _PADDING, parameter_count)
