@@ -25,7 +25,7 @@ from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleSta
 _LEAST_RATE_HZ = 50.0  # slower topics are logged for plots alone (choice)
 _NO_TIME = 0x7FFFFFFF  # RELATIVE_TIMESTAMP_INVALID (PX4 msg/SensorCombined.msg)
 _ARMED = 2  # arming_state of vehicle_status (PX4 msg/VehicleStatus.msg)
-_OF_MESSAGES = "IMU_INTEG_RATE"
+_INTEGRATION_RATE = "IMU_INTEG_RATE"
 _TOPICS = [
     "sensor_accel",
     "sensor_gyro",
@@ -119,7 +119,7 @@ class UlogRecording(OnboardLog):
     def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
         """Parameters, less IMU_INTEG_RATE: see the module."""
         for t_us, name, value in self._log.parameters:
-            if name.startswith(PARAMETER_PREFIXES) and name != _OF_MESSAGES and math.isfinite(value):
+            if name.startswith(PARAMETER_PREFIXES) and name != _INTEGRATION_RATE and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(name, value, t_us * 1000)
 
     def states(self) -> Iterator[tuple[int, VehicleState]]:
