@@ -33,7 +33,7 @@ def draw(evaluation: FlightEvaluation, path: Path) -> None:
         f"{plain['airframe']}, seed {plain['seed']}: a {truth['frequency_hz']:.2f} Hz wing that gusts bend by "
         f"{truth['gust_rms_mm']:.1f} mm rms, seen by two cameras at its tips"
     )
-    headline(figure, _figure_that_counts(plain), what)
+    headline(figure, _result_in_a_line(plain), what)
     rows = [["range", "toe"], ["range", "off"], ["errors", "blur"]]
     axes: dict[str, Any] = figure.subplot_mosaic(rows, height_ratios=(1.2, 0.8, 2.0))
     _ranges(axes["range"], evaluation)
@@ -43,7 +43,7 @@ def draw(evaluation: FlightEvaluation, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _figure_that_counts(plain: dict[str, Any]) -> str:
+def _result_in_a_line(plain: dict[str, Any]) -> str:
     """Range error before and after the correction, in one line."""
     removed, errors = plain["targets"]["share_of_error_removed"]["of_rigid"], plain["range_error_m"]
     far = [errors[way].get(_FAR, {}).get("median") for way in ("rigid", "corrected")]
@@ -101,7 +101,7 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
     width = 0.8 / len(names)
     for k, name in enumerate(names):
         z_true = evaluation.series[f"{name}.z_true_m"]
-        named = False
+        has_label = False
         error = np.abs(evaluation.series[f"{name}.range_m"] - z_true)
         for i, distance_m in enumerate(DISTANCES_M):
             some = error[near(z_true, distance_m)]
@@ -109,8 +109,8 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
                 continue
             median, p95 = (float(np.percentile(some, rank, method="lower")) for rank in (50, 95))
             x = i + (k - 1.5) * width
-            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if named else _LABELS[name])
-            named = True
+            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if has_label else _LABELS[name])
+            has_label = True
             if np.isfinite(p95):
                 axis.plot([x, x], [median, p95], color=_COLOURS[name], lw=1.5)
             else:  # the rigid range passes infinity
@@ -127,13 +127,13 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
 
 
 def _blur(axis: Any, evaluation: FlightEvaluation) -> None:
-    below = {
+    blur_px = {
         name: evaluation.series[f"blur.{name}"]
         for name in ("at_plan", "at_random")
         if f"blur.{name}" in evaluation.series
     }
     labels = {"at_plan": "aimed shots", "at_random": "shots at random instants"}
-    for name, values in below.items():
+    for name, values in blur_px.items():
         rank = np.arange(1, len(values) + 1) / max(len(values), 1)
         axis.plot(np.sort(values), 100 * rank, lw=2, label=labels[name],
                   color=_COLOURS["corrected" if name == "at_plan" else "rigid_in_trim"])  # fmt: skip
