@@ -31,14 +31,14 @@ class RigidMotion:
 
     def at(self, t_s: Floats) -> tuple[Floats, Floats, Floats]:
         """Give specific force (n, 3) m/s^2, body rate (n, 3) rad/s and its derivative (n, 3) rad/s^2, body FRD."""
-        rate = np.zeros((len(t_s), 6))
+        motion = np.zeros((len(t_s), 6))
         derivative = np.zeros((len(t_s), 6))
-        rate[:, 5] = -GRAVITY_MPS2
+        motion[:, 5] = -GRAVITY_MPS2
         for axis, amplitude, frequency, phase in self.terms:
             angle = 2 * np.pi * frequency * t_s + phase
-            rate[:, axis] += amplitude * np.sin(angle)
+            motion[:, axis] += amplitude * np.sin(angle)
             derivative[:, axis] += 2 * np.pi * frequency * amplitude * np.cos(angle)
-        return rate[:, 3:], rate[:, :3], derivative[:, :3]
+        return motion[:, 3:], motion[:, :3], derivative[:, :3]
 
 
 LEVEL = RigidMotion("level")
