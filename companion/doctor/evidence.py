@@ -144,8 +144,8 @@ class Evidence:
 
     def parameter(self, *names: str) -> tuple[str, float] | None:
         """The first of these names that the vehicle has with a value that can be; versions differ in names."""
-        sentence = ((name, self.parameters[name]) for name in names if name in self.parameters)
-        return next((entry for entry in sentence if implausible(*entry) is None), None)
+        sent = ((name, self.parameters[name]) for name in names if name in self.parameters)
+        return next((entry for entry in sent if implausible(*entry) is None), None)
 
     def missing(self, subject: str, what: str) -> Finding:
         """A finding about something that was not told, or not so that it can be believed."""

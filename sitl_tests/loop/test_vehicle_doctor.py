@@ -19,9 +19,10 @@ from companion.adapters.mavlink.link.link import Link
 from companion.cli import doctor
 from companion.cli.doctor import apply, diagnose
 from companion.doctor.evidence import Beat, Evidence, Finding, FindingLevel, Fix
-from companion.doctor.examine import Examination, note, read_log
+from companion.doctor.examine import WANTED, Examination, note, read_log
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import Axis, ClockName, ImuBatch, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
@@ -142,6 +143,26 @@ def test_each_wrong_parameter_is_found_and_its_fix_named(
     findings = Ward(flight, parameters=parameters).listen()
     assert fix in fixes(findings)
     assert len(wrong(findings)) in (1, 2) if "SCHED_LOOP_RATE" in parameters else len(wrong(findings)) == 1
+
+
+@pytest.mark.parametrize("autopilot", [mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4])
+@pytest.mark.parametrize("kind", [mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_TYPE_QUADROTOR])
+def test_the_autopilot_is_asked_for_every_parameter_that_a_check_reads(
+    monkeypatch: pytest.MonkeyPatch, autopilot: int, kind: int
+) -> None:
+    """One that is not asked for is 'not answered by the autopilot'; one without a range is believed at any value."""
+    read: set[str] = set()
+
+    def noted(evidence: Evidence, *names: str) -> tuple[str, float] | None:
+        read.update(names)
+        return as_it_is(evidence, *names)
+
+    as_it_is = Evidence.parameter
+    monkeypatch.setattr(Evidence, "parameter", noted)
+    list(diagnose(evidence_of(beats={(1, 1): Beat(kind, autopilot, 10)})))
+    assert read
+    assert read <= set(WANTED), "WANTED of companion/doctor/examine.py"
+    assert read <= set(VEHICLE_PARAMETERS), "the rows of companion/params/vehicle.py"
 
 
 def test_a_landing_that_takes_no_ranges_is_a_warning_with_its_fix(flight: Flight) -> None:
