@@ -11,7 +11,10 @@ from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
-_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len((*SENSOR_ERRORS, *ROOT_ERRORS)))
+_PLACES = {name: at for at, name in enumerate((*SENSOR_ERRORS, *ROOT_ERRORS))}
+_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = (
+    _PLACES[name] for name in ("kz", "ky", "kp", "mx", "my", "mz", "tau", "bp", "br")
+)
 
 
 class SensedMotion(NamedTuple):
