@@ -27,7 +27,7 @@ typedef struct {
     int64_t common_bias_column;
     const array *slope_factor_rows, *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources,
         *regressor_signs, *lever_m, *shortening_pm;
-    int64_t shortening_column;
+    int64_t shortening_column, further_shortening_column;
 } constants_record;
 
 typedef struct {
@@ -46,14 +46,14 @@ typedef struct {
 
 /* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: its derivatives by roll rate and
  * acceleration and by each rank's lift, lift rate and lift acceleration, itself, what a linear form of these leaves of
- * the slope row, the part of the force by the way inboard, what a unit of force adds to the row, what tilt and force
+ * the slope row, the part of the force by the way inboard, and of that by the lowest modes alone, what a unit of force adds to the row, what tilt and force
  * read together, the force's variance by accelerations that the measured sums do not tell apart, and as a blow has it,
  * whose shares are not a gust's, the force as it is
  * expected without the measured acceleration, for the row that measures it, and its derivatives by that of this tip and
  * of the other. */
 typedef struct {
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
-        force, rest, inboard, gain, lean, variance, blow_variance, expected, per_measured, per_other;
+        force, rest, inboard, inboard_by_lowest, gain, lean, variance, blow_variance, expected, per_measured, per_other;
 } moving_tip;
 
 /* What each rank of modes has in a tip's acceleration beyond the expected one, and in the other tip's. */
@@ -232,6 +232,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;
         tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
+        if (a == 0 && measured)
+            tip.inboard_by_lowest = -K[0] * (accelerations[0] * mean_lift + (rates[0] + inside[0]) * rates[0]);
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
@@ -413,8 +415,12 @@ static void find_innovation(run *f, int64_t k, double *out)
         if (r >= 0) {
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
             out[r * width] += f->tip[side].rest;
+            double by_lowest = f->tip[side].inboard_by_lowest;
             if (f->constants->shortening_column)
-                out[r * width + f->constants->shortening_column] -= f->tip[side].gain * f->tip[side].inboard;
+                out[r * width + f->constants->shortening_column] -= f->tip[side].gain * by_lowest;
+            if (f->constants->further_shortening_column)
+                out[r * width + f->constants->further_shortening_column] -=
+                    f->tip[side].gain * (f->tip[side].inboard - by_lowest);
             if (f->constants->common_bias_column)
                 out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
             add_acceleration_errors(f, k, side, out + r * width);

@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from companion.core.wing.model import WingModel
 from companion.core.wing.sensing import ModalPath, RigidMotion, lever_arm_mps2, sense_station
 from companion.core.wing.shortening import shortening_pm
 from companion.params.airframe import Gust, Mode, Uncertain, Wing
-from companion.records import Side
+from companion.records import Floats, Side
 
 G = 9.80665
 SYMMETRIC = Mode(Uncertain(5.0), Uncertain(0.03), Uncertain(1.4), Uncertain(0.5))
@@ -135,6 +136,35 @@ def test_a_bent_wing_shortens_by_more_than_a_straight_one_on_a_hinge() -> None:
     # the integrals of phi_i' phi_j' of a uniform cantilever, by another's quadrature
     assert shortening_pm((0, 1), 1.0) == pytest.approx(np.array([[1.1619, 1.8450], [1.8450, 8.1043]]), rel=1e-4)
     assert not shortening_pm((0, 1), 0.0).any()
+
+
+def _loaded_cantilever(mass_ratio: float) -> tuple[Floats, Floats]:
+    """Slopes (2,) at the tip of a unit cantilever with so much mass there, and integrals (2, 2) of phi_i' phi_j'."""
+    y = np.linspace(0.0, 1.0, 20_001)
+    slopes = []
+    for low, high in ((0.5, 2.0), (3.0, 4.8)):  # of beta l
+        x = brentq(
+            lambda x: 1 + np.cos(x) * np.cosh(x) + mass_ratio * x * (np.cos(x) * np.sinh(x) - np.sin(x) * np.cosh(x)),
+            low,
+            high,
+        )
+        odd = (np.cosh(x) + np.cos(x)) / (np.sinh(x) + np.sin(x))  # no moment at the tip
+        tip = np.cosh(x) - np.cos(x) - odd * (np.sinh(x) - np.sin(x))
+        slopes.append(x * (np.sinh(x * y) + np.sin(x * y) - odd * (np.cosh(x * y) - np.cos(x * y))) / tip)
+    products = np.array([[np.trapezoid(first * second, y) for second in slopes] for first in slopes])
+    return np.array([slope[-1] for slope in slopes]), products
+
+
+@pytest.mark.parametrize("mass_ratio", [0.0, 0.05, 0.1, 0.2])
+def test_a_tip_that_carries_mass_moves_inboard_as_its_slope_factors_say(mass_ratio: float) -> None:
+    """The product of both modes by a fifth of the wing's mass is a third larger than without."""
+    slopes, products = _loaded_cantilever(mass_ratio)
+    lever_m = 0.8
+    shortening = lever_m * shortening_pm((0, 1), lever_m, slopes / lever_m)
+    assert shortening[0] == pytest.approx(products[0], rel=0.025)
+    assert shortening[1, 1] == pytest.approx(products[1, 1], rel=0.25)
+    uniform = lever_m * shortening_pm((0, 1), lever_m)
+    assert uniform[0, 1] == pytest.approx(products[0, 1] / (1.0 + 1.7 * mass_ratio), rel=0.02)
 
 
 bounded = st.floats(-1.0, 1.0)

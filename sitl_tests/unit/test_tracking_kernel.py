@@ -205,6 +205,34 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
 
 
+def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
+    """Difference quotients of both slope rows by K of the lowest modes, and by all of K that further modes have in."""
+    kalman = _filter()
+    const, model, _, _ = _kernel_arguments(kalman)
+    epochs, parameters = _epochs(kalman, 0.0), kalman.layout.bias_parameters
+    epochs = epochs._replace(rows=0.1 * epochs.rows, sensitivity=np.zeros_like(epochs.sensitivity))
+    state = 3e-3 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
+    state[kalman.layout.symmetric.q] = 0.015
+    assert {"shortening", "further_shortening"} < set(parameters)
+
+    def innovation(shortening_pm: Floats) -> Floats:
+        """Slope rows (2, 1 + c) less their prediction, and the derivatives of that by the bias parameters."""
+        residual, H = np.zeros((ROWS, 1 + len(parameters))), model.H.copy()
+        residual[:, 0] = epochs.rows[5]
+        varied = const._replace(shortening_pm=shortening_pm)
+        kernel_numpy._linearise(varied, model, epochs, 5, state, residual, H)
+        residual[:, 0] -= H @ state
+        return residual[Y_LEFT : Y_LEFT + 2]
+
+    K, small = const.shortening_pm, 1e-3
+    lowest = K * np.pad([[1.0]], (0, len(K[0]) - 1))
+    for name, varied_pm in (("shortening", lowest), ("further_shortening", K - lowest)):
+        quotient = (innovation(K + small * varied_pm) - innovation(K - small * varied_pm))[:, 0] / (2.0 * small)
+        by_parameter = innovation(K)[:, 1 + parameters.index(name)]
+        assert np.abs(quotient).max() > 1e-4, name
+        assert quotient == pytest.approx(by_parameter, rel=0.05, abs=1e-5), name
+
+
 LATERAL_MPS2, GRAVITY_MPS2, FINE = 0.5, 9.80665, 64
 
 

@@ -135,8 +135,9 @@ class FilterConstants(NamedTuple):
         Places of the tips along body y from the root.
     shortening_pm : (2, r, r) float64
         Half of it times the lifts of two ranks of modes is how far a tip moves to the left by them, 1/m.
-    shortening_column : int
-        Column of the relative error of that, 0 where it is not estimated.
+    shortening_column, further_shortening_column : int
+        Columns of the relative error of that by the lowest modes alone, and of all that further modes have in it; 0
+        where it is not estimated.
     """
 
     step_s: float
@@ -161,6 +162,7 @@ class FilterConstants(NamedTuple):
     lever_m: Floats
     shortening_pm: Floats
     shortening_column: int
+    further_shortening_column: int
 
 
 class DiscreteModel(NamedTuple):

@@ -32,7 +32,8 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _SCALES = ("kz", "ky", "kp")
-_TAUGHT_FALSELY = ("shortening", "trim")  # by a vibrating tip, whose lateral axis shares its vertical vibration
+# by a vibrating tip, whose lateral axis shares its vertical vibration
+_TAUGHT_FALSELY = ("shortening", "further_shortening", "trim")
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
 # load factor hardly changes, its noise would draw the estimate
 _CALIBRATED_BEND = 0.05

@@ -103,6 +103,7 @@ def kernel_constants(
         (row + side, column) for column, _, _, _ in layout.slope_factors for side in (0, 1) for row in (Y_LEFT, P_LEFT)
     ]
     regressors = measured_regressors(layout)
+    slope_factors = [layout.slope_factor(rank).value for rank in range(layout.ranks)]
     return FilterConstants(
         step_s=model.step_s,
         trim_m=trim_m,
@@ -126,9 +127,10 @@ def kernel_constants(
         lever_m=np.array(model.lever_y_m),
         shortening_pm=np.stack(
             [
-                np.sign(y_m) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), y_m)
+                np.sign(y_m) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), y_m, slope_factors)
                 for y_m in layout.tip_y_m
             ]
         ),
         shortening_column=layout.column("shortening") or 0,
+        further_shortening_column=layout.column("further_shortening") or 0,
     )

@@ -18,11 +18,12 @@ lateral axis (rad) and the roll rate (rad/s); then the root's roll rate. R: :cla
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
+from companion.core.wing.shortening import shortening_pm
 from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertain, Wing
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
@@ -34,6 +35,7 @@ MODE_STATES = 4  # deflection, rate and two load states (by definition)
 _ABSENT_AXIS_SIGMA_MPS2 = 10.0  # chosen, 1 g: sigma of the root's force along an axis that it does not send
 _SECOND_FREQUENCY_RATIO = 5.5  # derived: a cantilever's is 6.27 (Euler-Bernoulli), less with a tip mass
 _SECOND_FREQUENCY_SIGMA = 0.3  # chosen, relative: covers bare cantilevers and heavy tips
+_SIGMA_FLOOR = 1e-9  # numerical: of a slope factor that is certain
 _STAMP_JITTER_S = 3e-4  # chosen: of an autopilot that stamps at the instant of sending
 _TYPICAL_ROLL_ACCEL_RADPS2 = 1.0  # chosen: turns stamp jitter into an error of the rate
 
@@ -135,6 +137,11 @@ class StateLayout:
         """Number of modes of the family that has more."""
         return max(len(family.modes) for family in self.families)
 
+    def slope_factor(self, rank: int) -> Uncertain:
+        """Slope factor of both families' modes of a rank, rad/m: their mean by the inverse of their variances."""
+        factors = [family.modes[rank].slope_factor_radpm for family in self.families if rank < len(family.modes)]
+        return _weighted_mean(factors)
+
     @property
     def slope_factors(self) -> list[tuple[int, int, int, tuple[float, float]]]:
         """Uncertain slope factors: column, deflection and rate state of the mode, sign at left and right tip."""
@@ -173,7 +180,7 @@ def make_layout(airframe: Airframe) -> StateLayout:
     roll_rate = antisymmetric.span.stop
     row_bias_states = tuple((row, roll_rate + 2 + at) for at, row in enumerate(rows))
     named = [(name, sigma) for name, sigma in _bias_parameters(airframe) if sigma > 0.0]
-    return StateLayout(
+    layout = StateLayout(
         symmetric=symmetric,
         antisymmetric=antisymmetric,
         size=roll_rate + 2 + len(row_bias_states),
@@ -185,6 +192,33 @@ def make_layout(airframe: Airframe) -> StateLayout:
         shortening=wing.shortening.value,
         tip_y_m=(airframe.left.position_m[1], airframe.right.position_m[1]),
     )
+    shortening_sigma = dict(named).get("shortening", 0.0)
+    if shortening_sigma == 0.0 or layout.ranks == 1:
+        return layout
+    return replace(
+        layout,
+        bias_parameters=(*layout.bias_parameters, "further_shortening"),
+        bias_parameter_sigma=np.append(
+            layout.bias_parameter_sigma, np.hypot(shortening_sigma, _shortening_by_slope(layout))
+        ),
+    )
+
+
+def _shortening_by_slope(layout: StateLayout) -> float:
+    """Relative sigma of what a second mode adds to the way inboard, by that of its slope factor, which tells it."""
+    second, lever_m = layout.slope_factor(1), abs(layout.tip_y_m[1])
+    expected, steeper = (
+        shortening_pm((0, 1), lever_m, (0.0, slope_radpm))[0, 1]
+        for slope_radpm in (second.value, second.value + second.sigma)
+    )
+    return float(abs(steeper / expected - 1.0)) if expected else 0.0
+
+
+def _weighted_mean(beliefs: list[Uncertain]) -> Uncertain:
+    """Mean of beliefs by the inverse of their variances."""
+    weights = np.array([max(belief.sigma, _SIGMA_FLOOR) ** -2.0 for belief in beliefs])
+    mean = weights @ np.array([belief.value for belief in beliefs]) / weights.sum()
+    return Uncertain(float(mean), float(weights.sum() ** -0.5))
 
 
 def _mode_family(at: int, sign: tuple[float, float], wing: Wing, parity: int) -> ModeFamily:

@@ -234,7 +234,9 @@ def _linearise(
     for side, tip in enumerate(tips):
         residual_columns[Y_LEFT + side, 0] += tip.rest
         if const.shortening_column:
-            residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard
+            residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard_by_lowest
+        if const.further_shortening_column:
+            residual_columns[Y_LEFT + side, const.further_shortening_column] -= tip.inboard - tip.inboard_by_lowest
         H[Y_LEFT + side] += tip.row
         for at, by_acceleration in zip((side, 1 - side), tip.by_acceleration, strict=True):
             if (bias := int(const.vertical_bias_state[at])) >= 0:
@@ -279,6 +281,7 @@ class _MovingTip(NamedTuple):
     row: Floats
     rest: float
     inboard: float
+    inboard_by_lowest: float
     variance_mps2_2: float
     blow_variance_mps2_2: float
     per_measured: float
@@ -314,6 +317,7 @@ def _moving_tip(
     mean_lift = lift + quarter_s2 * accel - 0.5 * step_s * inside_mps
     by_lift, by_rate = K @ accel, K @ rate
     along = mean_lift @ K @ accel + rate @ K @ rate + rate @ inside
+    by_lowest = float(K[0, 0] * (mean_lift[0] * accel[0] + (rate[0] + inside_mps[0]) * rate[0]))
     half_a_step = 0.0 if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
     per_accel = step_s * (half_a_step - by_rate) - lift @ K
     apart = per_accel - of_this @ per_accel
@@ -336,6 +340,7 @@ def _moving_tip(
         gain * row,
         math.atan(lean) - read + gain * float(row @ state),
         -gain * along,
+        -gain * by_lowest,
         variance,
         blow_variance,
         per_measured + per_other,
