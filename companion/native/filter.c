@@ -207,7 +207,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     rank_shares share = find_shares(f, side);
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
-    double across = p_dot - f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
+    double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2], across = p_dot + turning;
     double accelerations[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
     double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0, by_sum = 0.0;
     find_lift_rates(f, k, side, share, accelerations, rates, inside);
@@ -227,7 +227,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
-        tip.per_lift[a] = across - by_lift;
+        /* no p': estimated from the same tips, it goes with the error of p' w, and would teach a lift that is not */
+        tip.per_lift[a] = turning - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;

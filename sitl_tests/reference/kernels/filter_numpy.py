@@ -294,7 +294,10 @@ class _MovingTip(NamedTuple):
 def _moving_tip(
     const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats
 ) -> _MovingTip:
-    """``2 p w' + (p' - q r) w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it."""
+    """``2 p w' + (p' - q r) w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it.
+
+    The derivative by a lift leaves ``p'`` out: estimated from the same tips, it goes with the error of ``p' w``.
+    """
     ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
     lift_rows, rate_rows, accel_rows = np.stack(
         [model.linearisation_rows[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1
@@ -304,7 +307,8 @@ def _moving_tip(
     p, p_dot = float(linearised[4]), float(linearised[5])
     K = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
     slope = float(linearised[side])
-    turning = p_dot - float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
+    by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
+    turning = p_dot + by_gyros
     shortening, step_s = const.shortening_pm[side], const.step_s
     expected = 2.0 * p * rate.sum() + turning * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
     of_this, of_other, covariance = _rank_shares(model, epochs.present[k, Z_LEFT : Z_LEFT + 2], side)
@@ -326,7 +330,7 @@ def _moving_tip(
     sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
     along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    row = (turning - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
+    row = (by_gyros - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
     row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
     by_roll = per_measured * float(const.lever_m[side]) + per_other * float(const.lever_m[1 - side])
