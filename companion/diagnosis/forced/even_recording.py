@@ -16,6 +16,7 @@ _GAP = 3.5  # usual steps, from which a step is a gap: a spline follows the band
 _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
 _SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median; median steps from it, beyond which a sample is wild
+_AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
 _PILED = 0.005  # share of samples at the largest or smallest value, from which they are clipped (choice)
 
 
@@ -70,4 +71,6 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
 def _wild(values: Floats) -> Bools:
     """Single samples (n,) that lie far from their neighbours."""
     away = np.abs(values - medfilt(values, _SPIKE))
-    return np.asarray(away > _SPIKY * float(np.median(np.abs(np.diff(values)))))
+    step = np.abs(np.diff(values, prepend=values[0]))
+    usual = np.maximum(medfilt(step, _AROUND), float(np.median(step)))  # a sweep is calm before its resonance
+    return np.asarray(away > _SPIKY * usual)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.recordings import LAWS, ForcedDiagnosis
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
@@ -38,13 +40,16 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
         ],
         "linear": {name: _linear(diagnosis, extended) for name, extended in (("before", False), ("after", True))},
         "airframe_parameters": [],
-        "notes": [*diagnosis.notes, *(f"{name} comes out negative: {_ACTIVE}" for name in diagnosis.negative())],
+        "notes": [
+            *diagnosis.notes,
+            *_zero(diagnosis),
+            *(f"{name} comes out negative: {_ACTIVE}" for name in diagnosis.negative()),
+        ],
     }
 
 
 def _cause(diagnosis: ForcedDiagnosis, cause: Cause[RegressionTerm]) -> dict[str, Any]:
-    unit = diagnosis.scale[3 + list(LAWS).index(cause.term.name)]
-    value, sigma = cause.values[0] / unit, cause.sigmas[0] / unit
+    value, sigma = diagnosis.coefficient(cause)
     meaning = f"force {LAWS[cause.term.name][0]}, in the recording's units"
     return {
         **cause_head(cause, ""),
@@ -52,6 +57,23 @@ def _cause(diagnosis: ForcedDiagnosis, cause: Cause[RegressionTerm]) -> dict[str
         "gain": (_gain(diagnosis) or {}).get("error"),
         "advice": "drive it at several levels: a law of the amplitude shows between them",
     }
+
+
+def _zero(diagnosis: ForcedDiagnosis) -> list[str]:
+    """Where a cube and a square stand together: about which zero they are one cube.
+
+    k d + k_3 d^3 with d = q - q_0 has the square -3 k_3 q_0 q^2 and the slope k + 3 k_3 q_0^2.
+    """
+    accepted = {cause.term.name: cause for cause in (*diagnosis.outcome.causes, *diagnosis.outcome.nearest_causes)}
+    if not {CubicStiffness.name, QuadraticStiffness.name} <= set(accepted):
+        return []
+    cubic, _ = diagnosis.coefficient(accepted[CubicStiffness.name])
+    square, _ = diagnosis.coefficient(accepted[QuadraticStiffness.name])
+    zero, stiffness = -square / (3.0 * cubic), float(diagnosis.linear(True)[2])
+    return [
+        f"cubic and quadratic stiffness together are one cubic spring about a response of {zero:.4g} from the "
+        f"recording's own zero, with a stiffness of {stiffness - square**2 / (3.0 * cubic):.5g} there"
+    ]
 
 
 def _gain(diagnosis: ForcedDiagnosis) -> dict[str, Any] | None:

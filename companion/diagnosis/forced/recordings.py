@@ -6,8 +6,8 @@ is linear in everything unknown. It is written in the frequency domain, segment 
 made of the whole recording in time, then cut, tapered and transformed. Its error is the measured response's times
 D + s(t) + j omega z(t), D = k + j omega c - omega^2 m, s and z the slopes of the laws over deflection and speed, and
 that of the force, alike at all frequencies: (|D + mean s + j omega mean z|^2 + var s + omega^2 var z + rho^2)^1/2
-(after Sanathanan and Koerner), rho by profile likelihood. Deflection counts from the recording's own zero: a cube about
-another zero has a square.
+(after Sanathanan and Koerner), rho by profile likelihood. A force that came late is turned back. Deflection counts from
+the recording's own zero: a cube about another zero has a square.
 """
 
 from __future__ import annotations
@@ -17,23 +17,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize_scalar
 
 from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.even_recording import EvenRecording, evenly
+from companion.diagnosis.forced.force_delay import DEFLECTION, KINDS, Spectra, another_kind, least_error
+from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
-from companion.diagnosis.selection.recordings import Progress
+from companion.diagnosis.selection.recordings import Cause, Progress
 from companion.diagnosis.selection.regression import (
     Coefficient,
+    RegressionFit,
     RegressionModel,
     RegressionResponse,
     Regressions,
     RegressionTerm,
 )
 from companion.errors import RecordingError
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 FORCE = "force"
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
@@ -43,6 +48,11 @@ _FINER = 4  # times the rate at which laws are made: a cube reaches three times 
 _PASSES = 4  # of least squares: the weight depends on the coefficients (choice)
 _FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over the response's mean, by 1.26 (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
+_SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
+_DRIVEN = 0.01  # of the segment's largest power of the force, from which a bin is driven (choice)
+_ANSWERED = 100.0  # times the least power of the response, from which a bin is known in spite of its noise (choice)
+_DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln 33 for the places where it is sought
+_DELAY = "delay of the force"
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
@@ -61,12 +71,27 @@ def _slopes(q: Floats, v: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ForcedRecording:
-    """One recording: ``t_s``, ``force`` and ``response`` (n,)."""
+    """One recording: ``t_s``, ``force`` and ``response`` (n,); ``kind`` is one of :data:`.force_delay.KINDS`."""
 
     name: str
     t_s: Floats
     force: Floats
     response: Floats
+    kind: int = DEFLECTION
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Bins (n,) of all segments: ``table`` (s, n) is force, m, c and k's columns and the laws', ``block`` the segment.
+
+    ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time.
+    """
+
+    table: Spectra
+    omega: Floats
+    kind: Floats
+    block: Floats
+    motions: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +101,23 @@ class ForcedDiagnosis:
     outcome: Diagnosis[RegressionTerm, RegressionModel]
     recordings: tuple[ForcedRecording, ...]
     scale: Floats
+    noise: NoiseShare
     notes: tuple[str, ...] = ()
 
     def linear(self, extended: bool) -> Floats:
         """Mass, damping and stiffness, (3,)."""
         fitted = self.outcome.final if extended else self.outcome.null
-        return np.array([fitted.value(name)[0] for name in _LINEAR]) / self.scale[:3]
+        shift = self._shift(fitted)
+        return np.array([fitted.value(name)[0] + shift[name] for name in _LINEAR]) / self.scale[:3]
+
+    def coefficient(self, cause: Cause[RegressionTerm]) -> tuple[float, float]:
+        """Coefficient of a law in force per its power of the response, and its sigma."""
+        name = cause.term.name
+        unit = float(self.scale[3 + list(LAWS).index(name)])
+        return (cause.values[0] + self._shift(self.outcome.final)[name]) / unit, cause.sigmas[0] / unit
+
+    def _shift(self, fitted: RegressionFit) -> dict[str, float]:
+        return self.noise.shift(fitted.keys, fitted.values, fitted.value(f"noise 0 of {FORCE}")[0])
 
     def negative(self) -> list[str]:
         """Which of mass, damping and stiffness lie below 0 beyond chance."""
@@ -100,32 +136,24 @@ def diagnose_forced(
     Raises
     ------
     RecordingError
-        A segment holds too few frequencies of the band, each has a gap, most rows are lost, or force and response have
-        opposite signs.
+        A segment holds too few frequencies of the band, each has a gap, most rows are lost, the response is another
+        derivative of the deflection than it says, or force and response have opposite signs.
     """
-    tables, blocks, omegas, motions = [], [], [], []
     grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
-    pieces = max(_SEGMENTS // len(recordings), 2)
-    for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
-        series = _series(even, band_hz)
-        motions.append(np.stack([series[3], series[2]]))
-        for i, (table, omega) in enumerate(_segments(entry.name, even, series, band_hz, pieces)):
-            tables.append(table)
-            omegas.append(omega)
-            blocks.append(np.full(2 * len(omega), float(k * pieces + i)))
-    if not tables:
-        raise RecordingError("no segment without a gap: record without losses")
-    rows = np.concatenate([np.concatenate([table.real, table.imag], axis=1) for table in tables], axis=1)
-    omega = np.concatenate([np.tile(omega, 2) for omega in omegas])
-    force, columns = rows[0], rows[1:]
-    scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
-    columns = columns / scale[:, None]
-    weight = _weight(force, columns, omega, scale, _slopes(*np.concatenate(motions, axis=1)))
-    block = np.concatenate(blocks)
+    rows = _rows(recordings, grids, band_hz)
+    step_s = 1.0 / grids[0].rate_hz
+    start_s = _aligned(recordings, grids, band_hz, rows, step_s)
+    delay_s = _delay(rows, start_s, step_s)
+    shift = np.exp(1j * rows.omega * delay_s)
+    force, late = _real(rows.table[0] * shift), _real(-1j * rows.omega * rows.table[0] * shift)
+    columns, scale, weight, variance = _weighted(rows, delay_s)
+    omega, block = np.tile(rows.omega, 2), np.tile(rows.block, 2)
     linear = tuple(
         Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
         for name, column in zip(_LINEAR, columns, strict=False)
     )
+    if delay_s:  # its error is one of damping
+        linear += (Coefficient(_DELAY, FORCE, late, step_s, "s", "what is left of the delay"),)
     rms = float(np.sqrt(np.mean(force**2)))
     group = np.zeros(len(force), dtype=np.int64)
     response = RegressionResponse(
@@ -136,22 +164,123 @@ def diagnose_forced(
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
     ]
     notes = tuple(note for even in grids for note in even.notes)
-    diagnosis = ForcedDiagnosis(
-        diagnose(Regressions([response], terms), most, progress), tuple(recordings), scale, notes
-    )
+    outcome = diagnose(Regressions([response], terms), most, progress)
+    if delay_s:
+        rest_s, sigma_s = outcome.final.value(_DELAY)
+        comes = "late" if delay_s > 0.0 else "early"
+        notes += (
+            f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
+            f"{abs(delay_s + rest_s) / step_s:.2f} rows: turned back; look for filters or clocks that differ",
+        )
+    added = added_by_noise(omega, np.tile(rows.kind, 2), _slopes(*rows.motions), variance, scale)
+    late_too = np.pad(added, ((0, 1), (0, 1)))
+    white = np.concatenate([columns, late[None, :]]) / weight
+    noise = NoiseShare((*_LINEAR, *LAWS, _DELAY), white, late_too)
+    diagnosis = ForcedDiagnosis(outcome, tuple(recordings), scale, noise, notes)
     if {"mass", "stiffness"} <= set(diagnosis.negative()):
         raise RecordingError(
-            "mass and stiffness come out negative: force and response have opposite signs; turn one in the mapping"
+            "mass and stiffness come out negative: force and response have opposite signs (turn one in the mapping), "
+            "or the response is an acceleration (name its channel response_<what>_mps2)"
         )
     return diagnosis
 
 
-def _series(even: EvenRecording, band_hz: tuple[float, float]) -> list[Floats]:
-    """Force, acceleration, speed, deflection and laws over time, (n,) each."""
+def _rows(
+    recordings: Sequence[ForcedRecording],
+    grids: Sequence[EvenRecording],
+    band_hz: tuple[float, float],
+    kind: int | None = None,
+) -> _Rows:
+    """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
+    pieces = max(_SEGMENTS // len(recordings), 2)
+    tables, omegas, kinds, blocks, motions = [], [], [], [], []
+    for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
+        taken = entry.kind if kind is None else kind
+        series = _series(even, band_hz, taken)
+        motions.append(np.stack([series[3], series[2]]))
+        for i, (table, omega) in enumerate(_segments(entry.name, even, series, band_hz, pieces)):
+            tables.append(table)
+            omegas.append(omega)
+            kinds.append(np.full(len(omega), float(taken)))
+            blocks.append(np.full(len(omega), float(k * pieces + i)))
+    if not tables:
+        raise RecordingError("no segment without a gap: record without losses")
+    return _Rows(*(np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)))
+
+
+def _aligned(
+    recordings: Sequence[ForcedRecording],
+    grids: Sequence[EvenRecording],
+    band_hz: tuple[float, float],
+    rows: _Rows,
+    step_s: float,
+) -> float:
+    """Delay of the force in s that fits best without weights.
+
+    Raises
+    ------
+    RecordingError
+        The equation fits a response of another kind far better.
+    """
+    start_s, error = least_error(rows.table[0], rows.table[1:], rows.omega, step_s)
+    stated = recordings[0].kind
+    if any(entry.kind != stated for entry in recordings):
+        return start_s
+    others = {kind: _rows(recordings, grids, band_hz, kind) for kind in KINDS if kind != stated}
+    errors = {kind: least_error(each.table[0], each.table[1:], each.omega, step_s)[1] for kind, each in others.items()}
+    other = another_kind(stated, {stated: error, **errors})
+    if other is not None:
+        (said, _), (fits, unit) = KINDS[stated], KINDS[other]
+        raise RecordingError(
+            f"the response is called {said} and fits as {fits}: the force is then told to "
+            f"{100.0 * errors[other]:.0f} instead of {100.0 * error:.0f} %; name its channel response_<what>_{unit}"
+        )
+    return start_s
+
+
+def _delay(rows: _Rows, start_s: float, step_s: float) -> float:
+    """Delay in s of the force that makes the weighted equation likeliest, 0 where it gains too little."""
+    if not start_s:
+        return 0.0
+    near = minimize_scalar(
+        lambda delay_s: -_log_likelihood(rows, delay_s), bounds=(start_s - step_s, start_s + step_s), method="bounded"
+    )
+    gained = _INDEPENDENT * (-float(near.fun) - _log_likelihood(rows, 0.0))
+    return float(near.x) if gained > _DELAY_GAIN else 0.0
+
+
+def _log_likelihood(rows: _Rows, delay_s: float) -> float:
+    force = _real(rows.table[0] * np.exp(1j * rows.omega * delay_s))
+    columns, _, weight, _ = _weighted(rows, delay_s)
+    left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
+    return float(-0.5 * len(force) * np.log(np.mean((left / weight) ** 2)) - np.log(weight).sum())
+
+
+def _weighted(rows: _Rows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Columns (s, 2 n) over ``scale`` (s,); relative noise of each row (2 n,), and its variance over the response's."""
+    force = _real(rows.table[0] * np.exp(1j * rows.omega * delay_s))
+    columns = _real(rows.table[1:])
+    scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
+    columns = columns / scale[:, None]
+    return columns, scale, *_weight(rows, force, columns, scale)
+
+
+def _real(values: Spectra) -> Floats:
+    """Real parts, then imaginary ones, along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def _series(even: EvenRecording, band_hz: tuple[float, float], kind: int) -> list[Floats]:
+    """Force, acceleration, speed, deflection and laws over time, (n,) each.
+
+    A speed or acceleration is integrated above half of the band's lower edge.
+    """
     count = len(even.force)
     f_hz = np.fft.rfftfreq(count, 1.0 / even.rate_hz)
-    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz), np.fft.rfft(even.response), 0.0)
     turn = 2j * np.pi * f_hz
+    least_hz = 0.5 * band_hz[0] if kind else 0.0
+    measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
+    spectrum = np.where(measured, np.fft.rfft(even.response), 0.0) / np.where(measured & (kind > 0), turn, 1.0) ** kind
     deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
     fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
     laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
@@ -160,8 +289,8 @@ def _series(even: EvenRecording, band_hz: tuple[float, float]) -> list[Floats]:
 
 def _segments(
     name: str, even: EvenRecording, series: Sequence[Floats], band_hz: tuple[float, float], pieces: int
-) -> list[tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], Floats]]:
-    """All series (s, f) of each segment without a gap in the band, and omega (f,)."""
+) -> list[tuple[Spectra, Floats]]:
+    """All series (s, f) of each segment without a gap in the driven bins of the band, and omega (f,)."""
     segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), pieces):
@@ -172,27 +301,46 @@ def _segments(
         if even.lost[index].any():
             continue
         taper = np.hanning(len(index))
-        rows = np.stack([np.fft.rfft(taper * values[index])[inside] / np.sqrt(len(index)) for values in series])
-        segments.append((rows, np.asarray(2.0 * np.pi * part_hz[inside])))
+        spectra = np.stack([np.fft.rfft(taper * values[index]) / np.sqrt(len(index)) for values in series])
+        inside &= _driven(spectra[0], inside) | _answered(spectra[3])
+        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside])))
     return segments
 
 
-def _weight(force: Floats, columns: Floats, omega: Floats, scale: Floats, slopes: Floats) -> Floats:
-    """Relative standard deviation of each row, (n,); ``slopes`` (2, laws, samples) over deflection and over speed."""
-    weight = np.ones(len(force))
+def _driven(force: Spectra, inside: Bools) -> Bools:
+    """Bins (f,) with force: rows of nothing but the response's noise would draw all coefficients to 0."""
+    power = uniform_filter1d(np.abs(force) ** 2, _SMOOTHED)
+    return np.asarray(power > _DRIVEN * float(power[inside].max()))
+
+
+def _answered(deflection: Spectra) -> Bools:
+    """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws."""
+    power = uniform_filter1d(np.abs(deflection) ** 2, _SMOOTHED)
+    return np.asarray(power > _ANSWERED * float(power.min()))
+
+
+def _weight(rows: _Rows, force: Floats, columns: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Relative standard deviation of each row, (2 n,), and its variance over that of the response's bin.
+
+    An error of the response counts as one of the deflection.
+    """
+    weight, omega, slopes = np.ones(len(force)), np.tile(rows.omega, 2), _slopes(*rows.motions)
+    variance = weight
+    differentiated = omega ** np.tile(rows.kind, 2)
     for _ in range(_PASSES):
         values = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0]
         m, c, k, *laws = values / scale
         stiff, damp = np.array(laws) @ slopes
         mean = k + stiff.mean() - omega**2 * m + 1j * omega * (c + damp.mean())
-        dynamic = np.sqrt(np.abs(mean) ** 2 + stiff.var() + omega**2 * damp.var())
-        weight = _beside_noise_of_force(dynamic / float(dynamic.mean()), force - values @ columns)
-    return weight
+        dynamic = np.sqrt(np.abs(mean) ** 2 + stiff.var() + omega**2 * damp.var()) / differentiated
+        level = float(dynamic.mean())
+        together = _beside_noise_of_force(dynamic / level, force - values @ columns)
+        weight, variance = together / together.mean(), (level * together) ** 2
+    return weight, variance
 
 
 def _beside_noise_of_force(weight: Floats, residual: Floats) -> Floats:
     """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) most likely."""
     together = [np.hypot(weight, ratio) for ratio in _FORCE_NOISES]
     each = [-0.5 * len(residual) * np.log(np.mean((residual / w) ** 2)) - np.log(w).sum() for w in together]
-    best = together[int(np.argmax(each))]
-    return np.asarray(best / best.mean())
+    return np.asarray(together[int(np.argmax(each))])

@@ -1,0 +1,72 @@
+"""Bias of least squares whose columns hold the response's noise, which draws all coefficients to 0.
+
+A column j is made of the measured response. Its error is T_j(omega) e with T = (-omega^2, j omega, 1) of mass, damping
+and stiffness, and s_j + j omega z_j of a law with slopes s_j over deflection, z_j over speed. With rows weighted by
+their noise, B_jk = sum of var(e) Re(T_j^* T_k) / var(row) is what the noise adds to the normal matrix A, and
+
+    (A - B) theta = A theta_LS
+
+is the estimate without it (bias-compensated least squares, Stoica and Soderstrom 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.records import Floats
+
+_MOST = 0.5  # share of the normal matrix that may be noise: beyond, its first order is none (choice)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseShare:
+    """Columns (s, n) over the relative noise of their rows, and ``added`` (s, s), which is B.
+
+    ``names`` (s) are the parameters' of the columns; one without noise of the response has zeros in ``added``.
+    """
+
+    names: tuple[str, ...]
+    white: Floats
+    added: Floats
+
+    def shift(self, keys: Sequence[str], values: Floats, log_noise: float) -> dict[str, float]:
+        """Difference from each fitted value: ``keys`` and ``values`` (p,) are a fit's, its noise e^log_noise."""
+        used = [i for i, name in enumerate(self.names) if name in keys]
+        theta = np.array([values[list(keys).index(self.names[i])] for i in used])
+        normal = np.exp(-2.0 * log_noise) * (self.white[used] @ self.white[used].T)
+        added = self.added[np.ix_(used, used)]
+        noisy = np.linalg.eigvals(np.linalg.solve(normal, added)).real.max()
+        if noisy > _MOST:
+            return dict.fromkeys((self.names[i] for i in used), 0.0)
+        moved = np.linalg.solve(normal - added, normal @ theta) - theta
+        return dict(zip((self.names[i] for i in used), moved.tolist(), strict=True))
+
+
+def added_by_noise(omega: Floats, kind: Floats, slopes: Floats, row_variance: Floats, scale: Floats) -> Floats:
+    """B of mass, damping, stiffness and the laws (s, s), for columns over ``scale`` (s,).
+
+    ``slopes`` (2, laws, samples) are those of the laws over deflection and speed, ``row_variance`` (n,) is that of the
+    rows over that of the response, at ``omega`` (n,), ``kind`` (n,) how often the deflection was differentiated.
+    """
+    weight = 1.0 / (row_variance * omega ** (2.0 * kind))
+    ones = np.ones_like(omega)
+    # each column as (part with e, part with j omega e): -omega^2, j omega and 1 have constant slopes
+    still = np.stack([-(omega**2), 0.0 * ones, ones])
+    moving = np.stack([0.0 * ones, ones, 0.0 * ones])
+    laws = slopes.shape[1]
+    s_mean, z_mean = slopes.mean(axis=2)
+    s_both, z_both = (each @ each.T / each.shape[1] for each in slopes)
+    added = np.empty((3 + laws, 3 + laws))
+    for i in range(3 + laws):
+        for k in range(3 + laws):
+            if i >= 3 and k >= 3:
+                product = s_both[i - 3, k - 3] + omega**2 * z_both[i - 3, k - 3]
+            else:
+                a, b = (still[j] if j < 3 else s_mean[j - 3] for j in (i, k))
+                c, d = (moving[j] if j < 3 else z_mean[j - 3] for j in (i, k))
+                product = a * b + omega**2 * c * d
+            added[i, k] = float(np.sum(weight * product))
+    return np.asarray(added / np.outer(scale, scale))
