@@ -136,7 +136,11 @@ def _limit_cycle(
             airspeed = _airspeed(table, notes)
             _rate_hz(table, _band(mapping))
             _varying(table, names)
-            tracks.append(track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping)))
+            followed = track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping))
+            tracks.append(followed)
+            if not len(followed.t_s):
+                leading = names[0].removeprefix(_RESPONSE)
+                notes.append(f"{table.path.name}: {leading} rises nowhere above its noise: nothing is told from it")
         except RecordingError as error:
             notes.append(str(error))
     if not tracks:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.special import ellipk
 
+from companion.cli.main import main
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.json_report import as_json
 from companion.diagnosis.limit_cycles.labels import doubtful_labels
@@ -213,6 +216,84 @@ def test_a_decay_gives_the_spring_s_curve() -> None:
     q = 0.15
     force = (2.0 * np.pi * REST_HZ) ** 2 * (q + CUBIC * q**3)
     assert np.interp(q, curve.deflection, curve.force) == pytest.approx(force, rel=0.05)
+
+
+def hopf(speeds: Floats, seed: int) -> list[VibrationTrack]:
+    """Cycles of A^2 = V - 24 and a frequency that goes with A^2, wrong by 0.1 and 0.02 %."""
+    rng, ones = np.random.default_rng(seed), np.ones(4)
+    a = np.sqrt(speeds - 24.0) * (1.0 + 1e-3 * rng.standard_normal(len(speeds)))
+    f_hz = 2.4 * np.sqrt(1.0 + 0.02 * a**2) * (1.0 + 2e-4 * rng.standard_normal(len(speeds)))
+    return [
+        VibrationTrack(f"run{k}", float(v), ones, f_hz[k] * ones, 0.0 * ones, {"heave": a[k] * ones}, ones > 0.0)
+        for k, v in enumerate(speeds)
+    ]
+
+
+def test_a_cycle_close_to_the_onset_is_foretold() -> None:
+    """A^2 is linear there. A cubic of logarithms missed it by 15 %."""
+    speeds = np.array([24.5, 25.0, 26.0, 27.0, 28.0, 29.5, 31.0, 33.0])
+    diagnosis = judged(hopf(speeds, 0))
+    assert len(diagnosis.held_out) == len(speeds)
+    for entry in diagnosis.held_out:
+        measured, predicted = entry.amplitude["heave"]
+        assert predicted == pytest.approx(measured, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_few_cycles_get_few_degrees(seed: int) -> None:
+    """With a cubic through five cycles there was one to judge it by, and no cycle was named."""
+    plain = as_json(judged(hopf(np.linspace(25.0, 33.0, 5), seed)))
+    assert "limit-cycle" in {cause["name"] for cause in plain["causes"]}
+    assert len(plain["held_out_speeds"]) == 5
+    for entry in plain["held_out_speeds"]:
+        assert abs(entry["amplitude"]["heave"]["relative_error"]) < 0.1
+
+
+def test_a_cycle_below_the_onset_makes_it_subcritical(rig: FlutterDiagnosis) -> None:
+    below = np.array([14.0, 14.5, 15.0, 15.5])
+    ones = np.ones(4)
+    cycles = [
+        VibrationTrack(f"below{k}", v, ones, 2.5 * ones, 0.0 * ones, {"heave": a * ones}, ones > 0.0)
+        for k, (v, a) in enumerate(zip(below.tolist(), [0.30, 0.31, 0.32, 0.33], strict=True))
+    ]
+    onset = as_json(judged([*tracks_of(GROWING, np.full(len(GROWING), 0.03), 3), *cycles]))["onset"]
+    assert onset["cycles_from_mps"] == below[0]
+    assert "subcritical" in onset["says"]
+    assert as_json(rig)["onset"]["cycles_from_mps"] is None
+
+
+@pytest.mark.parametrize("step", [0.0, 0.02])
+def test_a_clipped_response_is_refused_and_coarse_steps_are_not(step: float) -> None:
+    """A clipped cycle was named a wrong airspeed."""
+    t_s = np.arange(3000) / RATE_HZ
+    swing = np.sin(15.0 * t_s) + 1e-3 * np.random.default_rng(4).standard_normal(len(t_s))
+    shown = np.round(swing / step) * step if step else swing
+    assert track(RawVibration("whole", t_s, {"heave": shown}, None), BAND_HZ).steady.any()
+    with pytest.raises(RecordingError, match="cut: heave piles up at its largest value"):
+        track(RawVibration("cut", t_s, {"heave": np.clip(shown, -2.0, 0.8)}, None), BAND_HZ)
+
+
+def test_a_vibration_above_the_band_is_told() -> None:
+    """Its rest at the edge of the band gave an onset that was 47 % too high."""
+    t_s = np.arange(3000) / RATE_HZ
+    with pytest.raises(RecordingError, match=r"strongest vibration, at 5\.4\d Hz, lies above band_hz"):
+        track(RawVibration("fast", t_s, {"heave": np.sin(34.2 * t_s) + 0.1 * np.sin(15.0 * t_s)}, None), BAND_HZ)
+
+
+def test_a_recording_at_rest_and_a_dead_leader_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng, t_s = np.random.default_rng(5), np.arange(3000) / RATE_HZ
+    decay = np.exp(-0.3 * t_s) * np.sin(15.0 * t_s)
+    (tmp_path / "rig.toml").write_text(
+        'test = "limit-cycle"\nfiles = "*.csv"\nband_hz = [1.5, 4.5]\n[columns]\n'
+        't = { channel = "t_s", unit = "s" }\nheave = { channel = "response_heave" }\n'
+    )
+    for name, level in (("a.csv", 1.0), ("b.csv", 0.7), ("rest.csv", 0.0)):
+        table = np.stack([t_s, level * decay + 1e-3 * rng.standard_normal(len(t_s))], 1)
+        np.savetxt(tmp_path / name, table, "%.9g", ",", header="t,heave", comments="")
+    assert main(["diagnose", str(tmp_path), "--mapping", str(tmp_path / "rig.toml")]) == 0
+    assert "note: rest.csv: heave rises nowhere above its noise" in capsys.readouterr().out
+    assert main(["diagnose", str(tmp_path / "rest.csv"), "--mapping", str(tmp_path / "rig.toml")]) == 1
+    assert "in heave, the leading response" in capsys.readouterr().err
 
 
 def test_too_short_a_recording_says_so() -> None:

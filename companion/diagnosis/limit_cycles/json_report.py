@@ -16,6 +16,7 @@ from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
 
 _FAR = 4.5  # sigmas of a window that is told by itself (choice)
+_SURELY = 3.0  # chosen: sigmas of the onset, below which a limit cycle makes it subcritical
 _FAST = 0.1  # of ln amplitude a period: a fifth in a window of two (choice)
 _TOO_FAST = ", too fast for the model, whose averages follow slow changes only"
 _IN_WORDS = {
@@ -152,10 +153,14 @@ def _onset(diagnosis: FlutterDiagnosis) -> dict[str, Any] | None:
     low, high = onset.bracket_mps
     if math.isnan(onset.airspeed_mps):
         says = f"the {onset.windows} windows at small amplitude, {low:g} to {high:g} m/s, do not tell it"
-        return {"airspeed_mps": None, "windows": onset.windows, "says": says}
+        return {"airspeed_mps": None, "windows": onset.windows, "cycles_from_mps": None, "says": says}
     value = quantity(onset.airspeed_mps, onset.sigma_mps, "m/s", "airspeed at which small vibrations stop decaying")
     says = f"{onset.airspeed_mps:.1f} ± {onset.sigma_mps:.1f} m/s, by {onset.windows} windows at small amplitude alone"
-    return {"airspeed_mps": value, "windows": onset.windows, "says": says}
+    lowest = min((row.airspeed_mps for row in diagnosis.rows if row.cycle), default=math.inf)
+    below = lowest < onset.airspeed_mps - _SURELY * onset.sigma_mps
+    if below:
+        says += f"; limit cycles stand from {lowest:g} m/s on, where small vibrations still decay: it is subcritical"
+    return {"airspeed_mps": value, "windows": onset.windows, "cycles_from_mps": lowest if below else None, "says": says}
 
 
 def _doubt(entry: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ one frequency. Where zeta crosses 0 with A rising the amplitude stays: the limit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,11 +36,14 @@ from companion.records import Bools, Floats
 LIMIT_CYCLE = "limit-cycle"
 """Name of a self-excited cycle; it is no effect of the catalogue, which has stable wings only."""
 FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
-CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
+CYCLE, AMPLITUDE = "square of the cycle's frequency", "square of the cycle's amplitude"
 _FEWEST_CYCLES = 4  # limit cycles, to fit how they change with airspeed (choice)
 _FEWEST_WINDOWS = 6  # on the way to or from a cycle, to fit its damping (choice)
 _FEWEST_RECORDINGS = 3  # at one airspeed, to hold one out: of two, one does not predict the other (choice)
-_SLOWEST_MPS = 0.1  # least airspeed of which a logarithm is taken (choice)
+_DEGREE = 3  # chosen: of the cycle's squares over the airspeed: two degrees miss the rig's largest amplitudes by 11 %
+_SPARE = 3  # chosen: airspeeds more than the degree, so that as many are left when one is held out, and one to judge
+_CYCLE_NOISE = 0.1  # of a squared amplitude or frequency relative to itself, where its noise is sought (choice)
+_LEAST_SQUARE = 1e-4  # chosen: of a predicted square over its mean, below which no cycle is
 _PER = " per rms of the airspeed"
 _TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
@@ -108,7 +111,10 @@ def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Pr
         aside |= {i for i, entry in enumerate(tracks) if entry.airspeed_mps is None}
     rows = [row for i, entry in enumerate(tracks) if i not in aside for row in _rows(i, entry)]
     if not rows:
-        raise RecordingError("no recording rises above its noise: excite the structure, or record it longer")
+        raise RecordingError(
+            f"no recording rises above its noise in {names[0]}, the leading response: excite the structure, record it "
+            "longer, or put another response first in the mapping"
+        )
     speeds = np.array([row.airspeed_mps for row in rows])
     mean, rms = float(speeds.mean()), float(speeds.std()) or 1.0
     regressions = _regressions(rows, names, (speeds - mean) / rms)
@@ -175,12 +181,13 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
             column = v[way] * inside
             terms.append(_airspeed(Coefficient("damping: airspeed", DAMPING, column, 0.02, "", f"{DAMPING}{_PER}")))
     if cycle.sum() >= _FEWEST_CYCLES and np.ptp(speeds[cycle]) > 0.0:
-        followed = {CYCLE: 0.5 * np.log(square / level)[cycle]}
-        followed |= {f"{AMPLITUDE}: {name}": np.log(relative[cycle, i]) for i, name in enumerate(names)}
-        alike, ones = np.zeros_like(group[cycle]), np.ones(int(cycle.sum()))
+        followed = {CYCLE: (square / level)[cycle]}
+        followed |= {f"{AMPLITUDE}: {name}": relative[cycle, i] ** 2 for i, name in enumerate(names)}
+        alike, at_mps = np.zeros_like(group[cycle]), speeds[cycle]
         for at, values in followed.items():
-            responses.append(RegressionResponse(at, values, ones, alike, speeds[cycle], speeds[cycle], 0.0, 1.0, 0.05))
-        terms.append(_cycle(list(followed), speeds[cycle]))
+            mean = float(values.mean())
+            responses.append(RegressionResponse(at, values, values, alike, at_mps, at_mps, mean, mean, _CYCLE_NOISE))
+        terms.append(_cycle({at: float(values.mean()) for at, values in followed.items()}, at_mps))
     return Regressions(responses, terms)
 
 
@@ -196,18 +203,24 @@ def _airspeed(column: Coefficient) -> RegressionTerm:
     return RegressionTerm(AirspeedDependence.name, "airspeed_mps", (column,))
 
 
-def _cycle(followed: Sequence[str], speeds: Floats) -> RegressionTerm:
-    """Frequency and amplitudes of the limit cycle, their logarithms over the airspeed's."""
-    log_speed = np.log(np.maximum(speeds, _SLOWEST_MPS))
-    x = (log_speed - log_speed.mean()) / log_speed.std()
-    coefficients = []
-    for at in followed:
-        coefficients += [
-            Coefficient(f"{at}: slope", at, x, 0.5, "", f"{at} per rms of the airspeed's logarithm"),
-            Coefficient(f"{at}: bend", at, x**2 - 1.0, 0.2, "", "the same, per its square"),
-            Coefficient(f"{at}: twist", at, x**3 - 3.0 * x, 0.1, "", "the same, per its cube"),
-        ]
-    return RegressionTerm(LIMIT_CYCLE, "airspeed_mps", tuple(coefficients))
+def _cycle(followed: Mapping[str, float], speeds: Floats) -> RegressionTerm:
+    """Squared frequency and amplitudes of the limit cycle over the airspeed; ``followed`` has the mean of each."""
+    x = (speeds - speeds.mean()) / speeds.std()
+    shapes = (
+        ("slope", x, 1.0, "per rms of the airspeed"),
+        ("bend", x**2 - 1.0, 0.4, "the same, per its square"),
+        ("twist", x**3 - 3.0 * x, 0.2, "the same, per its cube"),
+    )
+    degree = min(max(len(set(speeds.tolist())) - _SPARE, 1), _DEGREE)
+    return RegressionTerm(
+        LIMIT_CYCLE,
+        "airspeed_mps",
+        tuple(
+            Coefficient(f"{at}: {name}", at, column, sigma * mean, "", f"{at} over the largest's, {meaning}")
+            for at, mean in followed.items()
+            for name, column, sigma, meaning in shapes[:degree]
+        ),
+    )
 
 
 def _stiffness(name: str, a: Floats, level: float) -> RegressionTerm:
@@ -249,7 +262,8 @@ def _held_out(
         again = regressions.without(fitted, speed)
         at = [k for k, row in enumerate(cycles) if row.airspeed_mps == speed]
         f_ratio, *levels = (
-            float(np.exp(again.state.predicted(again.values, places[i])[at].mean())) for i in range(1 + len(names))
+            _root(again.state.predicted(again.values, places[i])[at], regressions.responses[places[i]].level)
+            for i in range(1 + len(names))
         )
         mean = np.array([cycles[k].amplitude for k in at]).mean(axis=0)
         held_out.append(
@@ -260,6 +274,11 @@ def _held_out(
             )
         )
     return tuple(held_out)
+
+
+def _root(squares: Floats, mean: float) -> float:
+    """Root of the mean of predicted squares (n,), which an extrapolation may put below 0."""
+    return float(np.sqrt(max(float(squares.mean()), _LEAST_SQUARE * mean)))
 
 
 def _onset(rows: Sequence[Row]) -> Onset | None:

@@ -23,6 +23,12 @@ _STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycl
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
+_PILED = 0.005  # share of samples at the largest or smallest value, from which they may be clipped (choice)
+_STEEP = (
+    6.0  # chosen: times the samples of the next value: of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4 times
+)
+_ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked for (choice)
+_CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
 
 
@@ -65,13 +71,24 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     Raises
     ------
     RecordingError
-        Fewer periods than three windows have.
+        Fewer periods than three windows have, a response is clipped, or the strongest vibration lies above the band.
     """
+    for name, values in raw.responses.items():
+        if _clipped(values):
+            raise RecordingError(
+                f"{raw.name}: {name} piles up at its largest value: it is clipped, so that its amplitude is not known"
+            )
     rate_hz = (len(raw.t_s) - 1) / float(raw.t_s[-1] - raw.t_s[0])
     even_s = raw.t_s[0] + np.arange(len(raw.t_s)) / rate_hz
     channels = {name: _clean(np.interp(even_s, raw.t_s, values)) for name, values in raw.responses.items()}
     lead = next(iter(channels.values()))
-    centre_hz = _strongest_hz(lead, rate_hz, band_hz)
+    centre_hz, peak, _ = _strongest(lead, rate_hz, band_hz)
+    above_hz, other, usual = _strongest(lead, rate_hz, (band_hz[1], min(_ABOVE * band_hz[1], 0.5 * rate_hz)))
+    if other > max(peak, _CLEAR * usual):
+        raise RecordingError(
+            f"{raw.name}: its strongest vibration, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
+            f"{band_hz[1]:g} Hz: widen the band"
+        )
     period = max(round(rate_hz / centre_hz), 2)
     at = np.arange(2 * period, len(lead) - 2 * period, period)
     if len(at) < 3 * _WINDOW:
@@ -111,12 +128,27 @@ def _clean(values: Floats) -> Floats:
     return np.asarray(np.where(wild, smooth, values) - np.median(values))
 
 
-def _strongest_hz(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> float:
+def _clipped(values: Floats) -> bool:
+    """Whether samples (n,) pile up at an end, beyond what coarse steps make of a sine."""
+    for ordered in (np.sort(values), np.sort(-values)):
+        last, before = ordered == ordered[-1], ordered[ordered < ordered[-1]]
+        piled = int(np.count_nonzero(last))
+        following = int(np.count_nonzero(before == before[-1])) if len(before) else 0
+        if piled > _PILED * len(values) and piled > _STEEP * following:
+            return True
+    return False
+
+
+def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[float, float, float]:
+    """Frequency in Hz of the largest peak in a band, its height, and the median; zeros where the band is empty."""
     count = _FINER * len(values)
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)), count))
     f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
     inside = (f_hz > band_hz[0]) & (f_hz < band_hz[1])
-    return float(f_hz[inside][np.argmax(power[inside])])
+    if not inside.any():
+        return 0.0, 0.0, 0.0
+    k = int(np.argmax(power[inside]))
+    return float(f_hz[inside][k]), float(power[inside][k]), float(np.median(power[inside]))
 
 
 def _envelope(values: Floats, turns: float, period: int) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
+from scipy.stats import t as student_t
 
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.fisher_scoring import Parameter, Scores
@@ -155,6 +156,29 @@ class RegressionModel:
         log_normal = -0.5 * power - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
         return np.asarray(self.responses[response].independent_ratio * log_normal)
 
+    def log_predictive(self, fitted: Fit[RegressionTerm, RegressionModel], response: int) -> Floats:
+        """Log density of each row of a response that was not fitted, times the ratio of independent rows, (n,).
+
+        With h the variance of the fitted mean over that of the noise, p_g the sum of h over the n_g rows of a group
+        that were fitted, a new row is Student's t of n_g - p_g degrees of freedom, of variance noise^2 n_g/(n_g - p_g)
+        times 1 + h. Where the fit is extrapolated, h is large.
+        """
+        entry, use = self.responses[response], self.use[response]
+        mean_places = np.ones(len(fitted.values), dtype=np.bool_)
+        for k, other in enumerate(self.responses):
+            first = self._first[k] + 1
+            mean_places[first : first + 1 + int(other.group.max())] = False
+        design = np.where(mean_places, self._design[response], 0.0)
+        noise = self.noise(fitted.values, response)
+        h = np.einsum("ij,jk,ik->i", design, fitted.covariance, design) / noise**2
+        fitted_rows = np.array([float((use & (entry.group == g)).sum()) for g in range(int(entry.group.max()) + 1)])
+        spent = np.array([float(h[use & (entry.group == g)].sum()) for g in range(len(fitted_rows))])
+        count = np.maximum(entry.independent_ratio * fitted_rows, 1.0)
+        free = np.maximum(count - entry.independent_ratio * spent, 1.0)
+        scale = noise * np.sqrt((count / free)[entry.group] * (1.0 + h))
+        away = (entry.values - self.predicted(fitted.values, response)) / scale
+        return np.asarray(entry.independent_ratio * (student_t.logpdf(away, free[entry.group]) - np.log(scale)))
+
     def log_likelihood(self, values: Floats, near: RegressionModel | None = None) -> float:
         """Log likelihood at a vector (p,) of the rows that count."""
         del near
@@ -255,7 +279,7 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
         again = self.without(fitted, block)
         inside = [entry.block == block for entry in self.responses]
         scores = {
-            entry.name: float(again.state.log_density(again.values, k)[rows].sum())
+            entry.name: float(again.state.log_predictive(again, k)[rows].sum())
             for k, (entry, rows) in enumerate(zip(self.responses, inside, strict=True))
         }
         first, rows = self.responses[0], inside[0]
