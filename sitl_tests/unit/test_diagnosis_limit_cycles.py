@@ -273,11 +273,35 @@ def test_a_clipped_response_is_refused_and_coarse_steps_are_not(step: float) -> 
         track(RawVibration("cut", t_s, {"heave": np.clip(shown, -2.0, 0.8)}, None), BAND_HZ)
 
 
-def test_a_vibration_above_the_band_is_told() -> None:
+def test_a_cycle_above_the_band_is_told() -> None:
     """Its rest at the edge of the band gave an onset that was 47 % too high."""
     t_s = np.arange(3000) / RATE_HZ
-    with pytest.raises(RecordingError, match=r"strongest vibration, at 5\.4\d Hz, lies above band_hz"):
+    with pytest.raises(RecordingError, match=r"limit cycle, at 5\.4\d Hz, lies above band_hz"):
         track(RawVibration("fast", t_s, {"heave": np.sin(34.2 * t_s) + 0.1 * np.sin(15.0 * t_s)}, None), BAND_HZ)
+
+
+def test_a_decay_below_a_stronger_mode_is_followed() -> None:
+    t_s = np.arange(3000) / RATE_HZ
+    decays = np.exp(-0.3 * t_s) * (np.sin(15.0 * t_s) + 3.0 * np.sin(60.0 * t_s))
+    followed = track(RawVibration("two", t_s, {"heave": decays}, None), BAND_HZ)
+    assert np.median(followed.frequency_hz) == pytest.approx(15.0 / (2.0 * np.pi), rel=0.01)
+
+
+def test_blows_during_a_linear_decay_are_no_law() -> None:
+    """Windows beside a blow had its jump in their averages: cubic stiffness and quadratic damping were named."""
+    t_s, tracks = np.arange(3500) / RATE_HZ, []
+    for k, (blows, zeta) in enumerate((([0.7, 5.2, 9.8], 0.01), ([0.9, 4.7, 9.1], 0.01))):
+        omega, swing = 2.0 * np.pi * 3.0, np.zeros(len(t_s))
+        for j, at in enumerate(blows):
+            since = np.maximum(t_s - at, 0.0)
+            swing += (1.0 + 0.3 * (j - 1)) * np.exp(-zeta * omega * since) * np.sin(omega * since)
+        swing += 1e-3 * np.random.default_rng(k).standard_normal(len(t_s))
+        tracks.append(track(RawVibration(f"run{k}", t_s, {"heave": swing}, None), BAND_HZ))
+    plain = as_json(judged(tracks))
+    assert plain["verdict"] == "adequate", plain["reason"]
+    assert np.median([value for entry in plain["decays"] for value in entry["damping"]]) == pytest.approx(
+        0.01, rel=0.05
+    )
 
 
 def test_a_recording_at_rest_and_a_dead_leader_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

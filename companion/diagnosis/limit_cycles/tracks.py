@@ -18,7 +18,7 @@ from companion.records import Floats
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _SPIKE = 5  # samples of the median that a single wild sample does not pass (choice)
 _SPIKY = 12.0  # times the median step: a spike, no vibration (choice)
-_UNEVEN = 0.15  # rms of ln amplitude about its line, from which a window has a blow or a beat in it (choice)
+_UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
 _STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle (choice)
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
@@ -71,7 +71,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     Raises
     ------
     RecordingError
-        Fewer periods than three windows have, a response is clipped, or the strongest vibration lies above the band.
+        Fewer periods than three windows have, a response is clipped, or a stronger limit cycle lies above the band.
     """
     for name, values in raw.responses.items():
         if _clipped(values):
@@ -84,9 +84,9 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     lead = next(iter(channels.values()))
     centre_hz, peak, _ = _strongest(lead, rate_hz, band_hz)
     above_hz, other, usual = _strongest(lead, rate_hz, (band_hz[1], min(_ABOVE * band_hz[1], 0.5 * rate_hz)))
-    if other > max(peak, _CLEAR * usual):
+    if other > max(peak, _CLEAR * usual) and _cycles(lead, rate_hz, above_hz):
         raise RecordingError(
-            f"{raw.name}: its strongest vibration, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
+            f"{raw.name}: its limit cycle, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
             f"{band_hz[1]:g} Hz: widen the band"
         )
     period = max(round(rate_hz / centre_hz), 2)
@@ -100,15 +100,19 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
         window = slice(first, first + _WINDOW + 1)
         log_a = np.log(np.maximum(np.abs(z[window]), 1e-300))
         growth, level = np.polyfit(t_s[window] - t_s[window].mean(), log_a, 1)
-        turn = np.polyfit(t_s[window], np.unwrap(np.angle(z[window])), 1)[0] / (2.0 * np.pi)
-        uneven = float(np.std(log_a - level - growth * (t_s[window] - t_s[window].mean())))
+        phase = np.unwrap(np.angle(z[window]))
+        turn, begun = np.polyfit(t_s[window] - t_s[window].mean(), phase, 1)
+        off = log_a - level + 1j * (phase - begun) - (growth + 1j * turn) * (t_s[window] - t_s[window].mean())
+        turn, uneven = turn / (2.0 * np.pi), float(np.std(off))
         rows.append((t_s[window].mean(), centre_hz + turn, growth, uneven))
         passed = max(float(np.sinc(turn * period / rate_hz)) ** 2, _LEAST_PASSED)
         amplitudes.append([np.exp(np.mean(np.log(np.abs(e[window]) + 1e-300))) / passed for e in envelopes.values()])
     table, levels = np.array(rows), np.array(amplitudes)
     steady = _steady(levels[:, 0], _LEAST_CYCLES // _WINDOW)
     floor = _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
-    keep = steady | ((table[:, 3] < _UNEVEN) & (levels[:, 0] > floor))
+    blown = table[:, 3] > _UNEVEN
+    near = np.convolve(blown, np.ones(3), "same") > 0.5  # averages reach one window further
+    keep = steady | (~near & (levels[:, 0] > floor))
     return VibrationTrack(
         raw.name,
         raw.airspeed_mps,
@@ -126,6 +130,14 @@ def _clean(values: Floats) -> Floats:
     step = np.abs(values - smooth)
     wild = step > _SPIKY * max(float(np.median(np.abs(np.diff(values)))), 1e-300)
     return np.asarray(np.where(wild, smooth, values) - np.median(values))
+
+
+def _cycles(values: Floats, rate_hz: float, centre_hz: float) -> bool:
+    """Whether a channel (n,) keeps its amplitude at a frequency."""
+    period = max(round(rate_hz / centre_hz), 2)
+    at = np.arange(2 * period, len(values) - 2 * period, _WINDOW * period)
+    amplitude = np.abs(_envelope(values, centre_hz / rate_hz, period))[at]
+    return bool(_steady(amplitude, _LEAST_CYCLES // _WINDOW).any())
 
 
 def _clipped(values: Floats) -> bool:
