@@ -62,6 +62,25 @@ def test_what_is_wrong_in_a_table_is_named_with_line_column_and_unit(
     assert complaint in str(error.value)
 
 
+COMMAS = VOLTS.replace('delimiter = "tab"', 'delimiter = "tab"\ndecimal = "comma"')
+
+
+def test_decimal_commas_are_read(tmp_path: Path) -> None:
+    path = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n2,5\ty\t-0,5\n4\tz\t0\n")
+    read = read_mapped(path, parse_mapping(COMMAS, "lab.toml"))
+    np.testing.assert_allclose(read.t_s, [0.0, 0.0025, 0.004])
+    np.testing.assert_allclose(read.channels["left_z_mps2"], [-11.80665, -8.80665, -9.80665])
+    with pytest.raises(ConfigError, match=r"'table\.decimal' is the delimiter, too"):
+        parse_mapping(COMMAS.replace('"tab"', '"comma"'), "lab.toml")
+
+
+def test_a_name_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    """The first of them was taken without a word."""
+    path = table(tmp_path, "rig 7\nno date\nTime\tAcc L\tAcc L\n\n0\t1\t2\n1\t1\t2\n")
+    with pytest.raises(TableError, match=r"column 'Acc L' is there 2 times; name it by its number in lab\.toml: '#2'"):
+        read_mapped(path, parse_mapping(VOLTS, "lab.toml"))
+
+
 def test_a_kind_of_test_that_nobody_diagnoses_is_refused_with_the_kinds_that_are() -> None:
     mapping = parse_mapping(VOLTS.replace("[table]", "test = 'walk'\n[table]"), "lab.toml")
     with pytest.raises(ConfigError, match=r"^lab\.toml: 'test' must be one of flight, ringing, .*, not 'walk'$"):

@@ -32,6 +32,9 @@ def text_columns(
     lines = sum(1 for _ in _rows(path, layout))
     if not lines:
         raise TableError(path, layout.first_line, "no row of numbers is there")
+    if layout.decimal != ".":
+        values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
+        return {name: np.ascontiguousarray(values[:, i]) for i, (name, _) in enumerate(wanted)}
     try:
         with warnings.catch_warnings(action="ignore"):
             values = np.loadtxt(
@@ -58,6 +61,13 @@ def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, 
         index = _numbered(column.name)
         if index is None and column.name in header:
             index = header.index(column.name)
+            if header.count(column.name) > 1:
+                raise TableError(
+                    path,
+                    layout.header_line,
+                    f"column '{column.name}' is there {header.count(column.name)} times; name it by its number in "
+                    f"{mapping.origin}: '#{index + 1}' is the first",
+                )
         if index is not None:
             places[column.name] = index
         elif not column.optional:
@@ -112,7 +122,9 @@ def _cell_by_cell(
         for name, index in places.items():
             if index >= len(cells):
                 raise TableError(path, number, f"{len(cells)} cells, but column '{name}' is number {index + 1}")
-            row.append(_number(path, number, columns[name], cells[index].strip(), may_be_missing))
+            row.append(
+                _number(path, number, columns[name], cells[index].strip().replace(layout.decimal, "."), may_be_missing)
+            )
         rows.append(row)
     return np.array(rows)
 

@@ -17,6 +17,7 @@ from companion.params.shipped import read_shipped, shipped_names
 from companion.params.toml import LARGEST, parse_toml
 
 _MOST_LINES = 1_000_000  # header of a table: more is a slip (choice)
+_DECIMALS = {"point": ".", "comma": ","}
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 
@@ -38,11 +39,15 @@ class ColumnMapping:
 
 @dataclass(frozen=True, slots=True)
 class TextLayout:
-    """A text table: ``header_line`` and ``first_line`` count from 1; without a header (0) columns go by number."""
+    """A text table: ``header_line`` and ``first_line`` count from 1; without a header (0) columns go by number.
+
+    ``decimal`` is the sign before the decimals of a number.
+    """
 
     delimiter: str | None = ","
     header_line: int = 1
     first_line: int = 2
+    decimal: str = "."
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +181,12 @@ def _text(keys: _Keys) -> TextLayout:
     if name not in _DELIMITERS:
         raise keys.error("delimiter", f"must be one of {', '.join(_DELIMITERS)}, not {name!r}")
     header = keys.count("header_line", 1)
-    layout = TextLayout(_DELIMITERS[name], header, keys.count("first_line", header + 1))
+    decimal = keys.text("decimal", "point")
+    if decimal not in _DECIMALS:
+        raise keys.error("decimal", f"must be one of {', '.join(_DECIMALS)}, not {decimal!r}")
+    layout = TextLayout(_DELIMITERS[name], header, keys.count("first_line", header + 1), _DECIMALS[decimal])
+    if layout.decimal == layout.delimiter:
+        raise keys.error("decimal", "is the delimiter, too: is it a semicolon?")
     if layout.first_line <= header:
         raise keys.error("first_line", "must come after the header line")
     keys.done()
