@@ -1,8 +1,8 @@
 """Samples of the three inertial sensors: the specific force and rate at a bending station, with every sensor error.
 
-A sample is the average over its millisecond (an integrating IMU), stamped at the middle of it. A tip that moves in a
-rolling body feels a lateral force beyond the rigid one. The reference knows the motion, and is given samples without
-that force; and here a tip moves straight up, as the reference's linear equations have it, and not inboard.
+A sample is the average over its millisecond (an integrating IMU), stamped at the middle of it. A tip that is lifted and
+moves in a turning body feels forces beyond the rigid one. The reference knows the motion, and is given samples without
+them; and here a tip moves straight up, as the reference's linear equations have it, and not inboard.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SIDE = (0.0, -1.0, 1.0)
 def samples(run: TruthRun, moving: bool = True) -> tuple[Floats, Floats, Floats]:
     """Give the samples of root, left and right, each (S, N, 6) at 1 kHz; axes that are not sent are zero.
 
-    ``moving`` tips feel Coriolis' and Euler's force.
+    ``moving`` tips feel Coriolis', Euler's and centripetal force by their lift.
     """
     return tuple(_station(run, station, moving) for station in range(3))  # type: ignore[return-value]
 
@@ -105,8 +105,10 @@ def _ideal(run: TruthRun, station: int, s: int, moving: bool) -> Floats:
     middle = (q[:, 1:] + q[:, :-1]) / 2 - STEP_S / 12 * np.diff(v, axis=1)
     bend = factors @ middle + factors[0] * run.trim_m()[s]
     if moving:
-        lift, lift_rate = signs @ middle + run.trim_m()[s], signs @ np.diff(q, axis=1) / STEP_S
-        force[:, 1] += 2.0 * rate[:, 0] * lift_rate + derivative[:, 0] * lift
+        lift_m, lift_rate_mps = signs @ middle + run.trim_m()[s], signs @ np.diff(q, axis=1) / STEP_S
+        up = np.array([0.0, 0.0, -1.0])
+        place_m, speed_mps = lift_m[:, None] * up, lift_rate_mps[:, None] * up
+        force += np.cross(derivative, place_m) + np.cross(rate, np.cross(rate, place_m) + 2.0 * speed_mps)
     turn = -side * bend  # rotation about body x: left tip +slope, right tip -slope
     bent = np.hstack([_rotate_x(force, turn), _rotate_x(rate, turn)])
     bent[:, 3] -= side * (factors @ np.diff(q, axis=1)) / STEP_S
