@@ -26,7 +26,8 @@ from tools.reference.truth import simulate
 def _score(ratio: float, label: str = "a", seed: int = 0) -> Score:
     pair = np.array([[ratio**2, ratio**2], [1.0, 1.0]])
     ones = np.ones((2, 2, 2))
-    return Score("slope", label, seed, 5.0, "white", pair, pair, np.full(2, 1e-8), pair, ones, np.zeros(2), 0.0)
+    slope_rad2, inside = 1e-8 * np.array([1.0, 0.25]), np.array([0.7, 0.95, 1.0])
+    return Score("slope", label, seed, 5.0, "white", pair, pair, slope_rad2, 0.9, inside, pair, ones, np.zeros(2), 0.0)
 
 
 def test_ratios_are_pooled_as_mean_squares_each_truth_alike() -> None:
@@ -36,6 +37,8 @@ def test_ratios_are_pooled_as_mean_squares_each_truth_alike() -> None:
     assert (row.verdict, row.runs) == ("MISS", 3)
     assert rows["slope: smoothed relative slope, mrad"].value == pytest.approx(0.1)
     assert rows["slope: smoothed relative slope, mrad"].verdict == "pass"
+    assert rows["slope: relative slope over the reference's, white gusts"].value == pytest.approx(2.0)
+    assert rows["slope: relative slope, share inside 3 sigma"].value == 1.0
 
 
 def test_a_score_survives_its_part_file() -> None:

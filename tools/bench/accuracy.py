@@ -111,6 +111,15 @@ def _suite_rows(suite: str, of_suite: list[Score]) -> Iterator[Row]:
         yield _ratio_row(f"{suite}: deflection smoothed, {name}", of_group, lambda s: s.smoothed, (0.0, limit))
     yield _ratio_row(f"{suite}: peak time 20 ms ahead", of_suite, lambda s: s.peak, (0.0, peak_bound))
     yield _slope_row(f"{suite}: smoothed relative slope, mrad", of_suite, (0.0, 0.18) if suite == "slope" else None)
+    for gusts, of_gusts, limit in (
+        ("white gusts", [s for s in of_suite if s.gust.startswith("white")], 1.10),
+        ("coloured gusts", [s for s in of_suite if not s.gust.startswith("white")], bound),
+    ):
+        if of_gusts:
+            yield _slope_ratio_row(f"{suite}: relative slope over the reference's, {gusts}", of_gusts, (0.0, limit))
+    yield _mean_row(f"{suite}: relative slope, NEES", of_suite, lambda s: np.array([s.slope_nees]), (0.8, 1.25))
+    for sigmas, wanted in ((1, None), (2, None), (3, (0.99, 1.0))):
+        yield _mean_row(f"{suite}: relative slope, share inside {sigmas} sigma", of_suite, _inside(sigmas), wanted)
     target = (0.9, 1.1)
     yield _mean_row(f"{suite}: NEES causal", of_suite, lambda s: s.nees[0, 0], target)
     yield _mean_row(f"{suite}: NEES smoothed", of_suite, lambda s: s.nees[1, 0], target)
@@ -143,6 +152,16 @@ def _ratio_row(
     ratios = np.array([total[0] / total[1] for total in sums.values()])
     singles = np.array([np.sqrt(squares(s)[0] / squares(s)[1]) for s in scores])
     return Row(name, float(np.sqrt(np.mean(ratios))), *_spread(singles), target, len(scores))
+
+
+def _slope_ratio_row(name: str, scores: list[Score], target: tuple[float, float] | None) -> Row:
+    """The same of the relative slope, which no mode alone makes."""
+    return _ratio_row(name, scores, lambda s: np.stack([s.slope_rad2, s.slope_rad2], axis=1), target)
+
+
+def _inside(sigmas: int) -> Callable[[Score], Floats]:
+    """The share of a run's relative slopes that lie inside 1, 2 or 3 sigma, (1,)."""
+    return lambda score: score.slope_inside[sigmas - 1 : sigmas]
 
 
 def _slope_row(name: str, scores: list[Score], target: tuple[float, float] | None) -> Row:

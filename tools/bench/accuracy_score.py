@@ -30,7 +30,11 @@ class Score:
     causal, smoothed : (2, 2) float64
         Rows tracker and reference, columns modes.
     slope_rad2 : (2,) float64
-        Mean square of the relative slope (left plus right).
+        Mean square error of the smoothed relative slope (left plus right), the toe of a pair that looks down.
+    slope_nees : float
+        The tracker's, over its variance.
+    slope_inside : (3,) float64
+        Shares of the tracker's inside 1, 2 and 3 sigma.
     peak : (2, 2) float64
         Mean square of the peak time, in periods.
     nees : (2, 2, 2) float64
@@ -49,6 +53,8 @@ class Score:
     causal: Floats
     smoothed: Floats
     slope_rad2: Floats
+    slope_nees: float
+    slope_inside: Floats
     peak: Floats
     nees: Floats
     lock: Floats
@@ -90,6 +96,7 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
         peak = np.array([[_peak(issues, c, mode) for mode in (0, 1)] for c in curves])
         reference = (causal.q_m[s], causal.q_sigma_m[s], smoothed.q_m[s], smoothed.q_sigma_m[s])
         slope_error = (output.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.slope)
+        slope_z = (slope_error[0] / output.slope_sigma)[np.isfinite(slope_error[0])]
         mode = cell.spec.symmetric
         scores.append(
             Score(
@@ -101,6 +108,8 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
                 causal=np.stack([truth.square(output.causal, truth.q), truth.square(reference[0], truth.q)]),
                 smoothed=np.stack([truth.square(output.smoothed, truth.q), truth.square(reference[2], truth.q)]),
                 slope_rad2=np.array([np.nanmean(error**2) for error in slope_error]),
+                slope_nees=float(np.nanmean(slope_z**2)),
+                slope_inside=np.array([np.mean(np.abs(slope_z) < bound) for bound in (1.0, 2.0, 3.0)]),
                 peak=peak,
                 nees=_nees(output, reference, truth),
                 lock=_lock(output, run),
