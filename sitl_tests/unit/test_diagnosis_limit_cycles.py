@@ -320,6 +320,20 @@ def test_a_recording_at_rest_and_a_dead_leader_are_told(tmp_path: Path, capsys: 
     assert "in heave, the leading response" in capsys.readouterr().err
 
 
+def test_two_windows_are_followed() -> None:
+    """The fewest that are not refused as too short; they ended in a traceback."""
+    t_s = np.arange(1000) / RATE_HZ
+    swing = np.sin(2.0 * np.pi * 2.5 * t_s) + 1e-3 * np.random.default_rng(6).standard_normal(len(t_s))
+    followed = track(RawVibration("brief", t_s, {"heave": swing}, None), BAND_HZ)
+    assert followed.frequency_hz == pytest.approx([2.5, 2.5], rel=0.02)
+
+
+def test_a_band_narrower_than_a_short_recording_tells_apart_is_refused() -> None:
+    t_s = np.arange(5) / RATE_HZ
+    with pytest.raises(RecordingError, match=r"brief: too short to tell a frequency from 1\.5 to 1\.6 Hz"):
+        track(RawVibration("brief", t_s, {"heave": np.sin(15.0 * t_s)}, None), (1.5, 1.6))
+
+
 def test_too_short_a_recording_says_so() -> None:
     t_s = np.arange(200) / RATE_HZ
     with pytest.raises(RecordingError, match="shorter than"):

@@ -24,9 +24,7 @@ _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
 _PILED = 0.005  # share of samples at the largest or smallest value, from which they may be clipped (choice)
-_STEEP = (
-    6.0  # chosen: times the samples of the next value: of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4 times
-)
+_STEEP = 6.0  # chosen: times the samples of the next value; of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4
 _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked for (choice)
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
@@ -89,6 +87,8 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
             f"{raw.name}: its limit cycle, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
             f"{band_hz[1]:g} Hz: widen the band"
         )
+    if not centre_hz:
+        raise RecordingError(f"{raw.name}: too short to tell a frequency from {band_hz[0]:g} to {band_hz[1]:g} Hz")
     period = max(round(rate_hz / centre_hz), 2)
     at = np.arange(2 * period, len(lead) - 2 * period, period)
     if len(at) < 3 * _WINDOW:
@@ -111,7 +111,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     steady = _steady(levels[:, 0], _LEAST_CYCLES // _WINDOW)
     floor = _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
     blown = table[:, 3] > _UNEVEN
-    near = np.convolve(blown, np.ones(3), "same") > 0.5  # averages reach one window further
+    near = np.convolve(blown, np.ones(3))[1:-1] > 0.5  # averages reach one window further
     keep = steady | (~near & (levels[:, 0] > floor))
     return VibrationTrack(
         raw.name,
@@ -142,13 +142,9 @@ def _cycles(values: Floats, rate_hz: float, centre_hz: float) -> bool:
 
 def _clipped(values: Floats) -> bool:
     """Whether samples (n,) pile up at an end, beyond what coarse steps make of a sine."""
-    for ordered in (np.sort(values), np.sort(-values)):
-        last, before = ordered == ordered[-1], ordered[ordered < ordered[-1]]
-        piled = int(np.count_nonzero(last))
-        following = int(np.count_nonzero(before == before[-1])) if len(before) else 0
-        if piled > _PILED * len(values) and piled > _STEEP * following:
-            return True
-    return False
+    counts = np.unique(values, return_counts=True)[1].tolist()
+    ends = ((counts[0], counts[1:2]), (counts[-1], counts[-2:-1]))
+    return any(piled > max(_PILED * len(values), _STEEP * sum(following)) for piled, following in ends)
 
 
 def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[float, float, float]:
