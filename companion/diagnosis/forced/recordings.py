@@ -50,7 +50,8 @@ _FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over t
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
 _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
 _DRIVEN = 0.01  # of the segment's largest power of the force, from which a bin is driven (choice)
-_ANSWERED = 100.0  # times the least power of the response, from which a bin is known in spite of its noise (choice)
+_ANSWERED = 100.0  # chosen, times the response's least power in the band: from there a bin is known in spite of noise
+_MOST_NOISE = 0.05  # chosen, of an integrated deflection's power: a cube came out 31 % too small at 0.14, 3 % at 0.02
 _DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln 33 for the places where it is sought
 _DELAY = "delay of the force"
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
@@ -84,7 +85,8 @@ class ForcedRecording:
 class _Rows:
     """Bins (n,) of all segments: ``table`` (s, n) is force, m, c and k's columns and the laws', ``block`` the segment.
 
-    ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time.
+    ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time, and ``power`` is the
+    deflection's at all frequencies, of which the bins have a part.
     """
 
     table: Spectra
@@ -92,6 +94,7 @@ class _Rows:
     kind: Floats
     block: Floats
     motions: Floats
+    power: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +140,13 @@ def diagnose_forced(
     ------
     RecordingError
         A segment holds too few frequencies of the band, each has a gap, most rows are lost, the response is another
-        derivative of the deflection than it says, or force and response have opposite signs.
+        derivative of the deflection than it says, its integral is noise, or force and response have opposite signs.
     """
     grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
     rows = _rows(recordings, grids, band_hz)
     step_s = 1.0 / grids[0].rate_hz
     start_s = _aligned(recordings, grids, band_hz, rows, step_s)
+    _refuse_integrated_noise(rows, band_hz)
     delay_s = _delay(rows, start_s, step_s)
     shift = np.exp(1j * rows.omega * delay_s)
     force, late = _real(rows.table[0] * shift), _real(-1j * rows.omega * rows.table[0] * shift)
@@ -193,19 +197,40 @@ def _rows(
 ) -> _Rows:
     """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
     pieces = max(_SEGMENTS // len(recordings), 2)
-    tables, omegas, kinds, blocks, motions = [], [], [], [], []
+    tables, omegas, kinds, blocks, motions, power = [], [], [], [], [], 0.0
     for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
         taken = entry.kind if kind is None else kind
         series = _series(even, band_hz, taken)
         motions.append(np.stack([series[3], series[2]]))
-        for i, (table, omega) in enumerate(_segments(entry.name, even, series, band_hz, pieces)):
+        for i, (table, omega, of_deflection) in enumerate(_segments(entry.name, even, series, taken, band_hz, pieces)):
             tables.append(table)
             omegas.append(omega)
+            power += of_deflection
             kinds.append(np.full(len(omega), float(taken)))
             blocks.append(np.full(len(omega), float(k * pieces + i)))
     if not tables:
         raise RecordingError("no segment without a gap: record without losses")
-    return _Rows(*(np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)))
+    table, omega, kinds_of, block, motion = (
+        np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)
+    )
+    return _Rows(table, omega, kinds_of, block, motion, power)
+
+
+def _refuse_integrated_noise(rows: _Rows, band_hz: tuple[float, float]) -> None:
+    """Noise of a speed or an acceleration grows towards low frequencies by integration, and laws take it for motion.
+
+    Raises
+    ------
+    RecordingError
+        Much of the deflection lies in bins that do not count.
+    """
+    noise_ratio = 1.0 - float(np.sum(np.abs(rows.table[3]) ** 2)) / rows.power
+    if rows.kind.any() and noise_ratio > _MOST_NOISE:
+        raise RecordingError(
+            f"{100.0 * noise_ratio:.0f} % of the deflection that was integrated from the response are at frequencies "
+            f"of no force, as noise is: let band_hz, {band_hz[0]:g} to {band_hz[1]:g} Hz, begin and end where the "
+            "force does"
+        )
 
 
 def _aligned(
@@ -288,9 +313,12 @@ def _series(even: EvenRecording, band_hz: tuple[float, float], kind: int) -> lis
 
 
 def _segments(
-    name: str, even: EvenRecording, series: Sequence[Floats], band_hz: tuple[float, float], pieces: int
-) -> list[tuple[Spectra, Floats]]:
-    """All series (s, f) of each segment without a gap in the driven bins of the band, and omega (f,)."""
+    name: str, even: EvenRecording, series: Sequence[Floats], kind: int, band_hz: tuple[float, float], pieces: int
+) -> list[tuple[Spectra, Floats, float]]:
+    """All series (s, f) of each segment without a gap in the driven bins of the band, omega (f,), deflection's power.
+
+    The power is that at all frequencies.
+    """
     segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), pieces):
@@ -302,8 +330,9 @@ def _segments(
             continue
         taper = np.hanning(len(index))
         spectra = np.stack([np.fft.rfft(taper * values[index]) / np.sqrt(len(index)) for values in series])
-        inside &= _driven(spectra[0], inside) | _answered(spectra[3])
-        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside])))
+        inside &= _driven(spectra[0], inside) | _answered(spectra[3 - kind], inside)
+        power = float(np.sum(np.abs(spectra[3]) ** 2))
+        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside]), power))
     return segments
 
 
@@ -313,10 +342,14 @@ def _driven(force: Spectra, inside: Bools) -> Bools:
     return np.asarray(power > _DRIVEN * float(power[inside].max()))
 
 
-def _answered(deflection: Spectra) -> Bools:
-    """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws."""
-    power = uniform_filter1d(np.abs(deflection) ** 2, _SMOOTHED)
-    return np.asarray(power > _ANSWERED * float(power.min()))
+def _answered(response: Spectra, inside: Bools) -> Bools:
+    """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws.
+
+    The response is what was recorded, whose noise is alike at all frequencies, and its noise is its least in the band:
+    above, it is cut off.
+    """
+    power = uniform_filter1d(np.abs(response) ** 2, _SMOOTHED)
+    return np.asarray(power > _ANSWERED * float(power[inside].min()))
 
 
 def _weight(rows: _Rows, force: Floats, columns: Floats, scale: Floats) -> tuple[Floats, Floats]:
