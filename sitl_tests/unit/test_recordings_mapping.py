@@ -70,6 +70,9 @@ def test_decimal_commas_are_read(tmp_path: Path) -> None:
     read = read_mapped(path, parse_mapping(COMMAS, "lab.toml"))
     np.testing.assert_allclose(read.t_s, [0.0, 0.0025, 0.004])
     np.testing.assert_allclose(read.channels["left_z_mps2"], [-11.80665, -8.80665, -9.80665])
+    thousands = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n1.000\ty\t1\n")
+    with pytest.raises(TableError, match=r"line 6: column 'Time': '1\.000' has a point, but decimals follow a comma"):
+        read_mapped(thousands, parse_mapping(COMMAS, "lab.toml"))
     with pytest.raises(ConfigError, match=r"'table\.decimal' is the delimiter, too"):
         parse_mapping(COMMAS.replace('"tab"', '"comma"'), "lab.toml")
 

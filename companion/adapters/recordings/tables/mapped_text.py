@@ -122,9 +122,10 @@ def _cell_by_cell(
         for name, index in places.items():
             if index >= len(cells):
                 raise TableError(path, number, f"{len(cells)} cells, but column '{name}' is number {index + 1}")
-            row.append(
-                _number(path, number, columns[name], cells[index].strip().replace(layout.decimal, "."), may_be_missing)
-            )
+            cell = cells[index].strip()
+            if layout.decimal != "." and "." in cell:
+                raise TableError(path, number, f"column '{name}': '{cell}' has a point, but decimals follow a comma")
+            row.append(_number(path, number, columns[name], cell.replace(layout.decimal, "."), may_be_missing))
         rows.append(row)
     return np.array(rows)
 
