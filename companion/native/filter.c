@@ -44,16 +44,21 @@ typedef struct {
     const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums;
 } state_record;
 
-/* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: its derivatives by roll rate and
- * acceleration and by each rank's lift, lift rate and lift acceleration, itself, what a linear form of these leaves of
- * the slope row, the part of the force by the way inboard, and of that by the lowest modes alone, what a unit of force adds to the row, what tilt and force
- * read together, the force's variance by accelerations that the measured sums do not tell apart, and as a blow has it,
- * whose shares are not a gust's, the force as it is
- * expected without the measured acceleration, for the row that measures it, and its derivatives by that of this tip and
- * of the other. */
+/* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: itself, and what the slope row has of
+ * it. */
 typedef struct {
-    double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS],
-        force, rest, inboard, inboard_by_lowest, gain, lean, variance, blow_variance, expected, per_measured, per_other;
+    double force;
+    /* its derivatives by the body's roll rate and acceleration, and by each rank's lift, lift rate and acceleration */
+    double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS];
+    double rest;                       /* what a linear form of these leaves of the slope row */
+    double inboard, inboard_by_lowest; /* its part by the way inboard, and of that the lowest modes' alone */
+    double gain;                       /* what a unit of force adds to the row */
+    double lean;                       /* what tilt and force read together */
+    double variance;                   /* by accelerations that the measured sums do not tell apart */
+    double blow_variance;              /* the same by a blow, whose shares are not a gust's */
+    /* the force as it is expected without the measured acceleration, for the row that measures it, and its derivatives
+     * by that of this tip and of the other */
+    double expected, per_measured, per_other;
 } moving_tip;
 
 /* What each rank of modes has in a tip's acceleration beyond the expected one, and in the other tip's. */

@@ -59,7 +59,7 @@ class Wing:
     is tracked with a cantilever's wide prior, or is taken not to exist where ``assume_second`` is false.
     ``trim_bend_m`` is the symmetric tip deflection in level flight at 1 g relative to the wing as calibrated on the
     ground; ``bend_per_g_m`` what each further g adds. ``shortening`` is how far a bent wing's tip moves inboard, over
-    what that of a uniform cantilever does.
+    what that of a cantilever with the same slope factors does.
     """
 
     semispan_m: float

@@ -37,7 +37,7 @@ RANGES: dict[str, dict[str, Range]] = {
         "semispan_m": Range(0.05, 50, "m", "from a bench beam to the largest solar aircraft"),
         "trim_bend_m": Range(-20, 20, "m", "more than any wing bends", 20),
         "bend_per_g_m": Range(-20, 20, "m", "more than any wing bends", 20),
-        "shortening": Range(0, 3, "", "1 for a uniform cantilever, 0 for a tip that moves straight up", 3),
+        "shortening": Range(0, 3, "", "1 for a cantilever, 0 for a tip that moves straight up", 3),
     },
     "Mode": {
         "frequency_hz": Range(0.2, 500, "Hz", "bending modes of wings and beams", 500),

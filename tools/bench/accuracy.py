@@ -155,7 +155,7 @@ def _ratio_row(
 
 
 def _slope_ratio_row(name: str, scores: list[Score], target: tuple[float, float] | None) -> Row:
-    """The same of the relative slope, which no mode alone makes."""
+    """Pool ratios of the relative slope's mean squares; both columns are alike, for all modes make it together."""
     return _ratio_row(name, scores, lambda s: np.stack([s.slope_rad2, s.slope_rad2], axis=1), target)
 
 

@@ -32,7 +32,7 @@ class Score:
     slope_rad2 : (2,) float64
         Mean square error of the smoothed relative slope (left plus right), the toe of a pair that looks down.
     slope_nees : float
-        The tracker's, over its variance.
+        Mean square of the tracker's over its variance.
     slope_inside : (3,) float64
         Shares of the tracker's inside 1, 2 and 3 sigma.
     peak : (2, 2) float64
