@@ -273,6 +273,21 @@ def test_a_clipped_response_is_refused_and_coarse_steps_are_not(step: float) -> 
         track(RawVibration("cut", t_s, {"heave": np.clip(shown, -2.0, 0.8)}, None), BAND_HZ)
 
 
+@pytest.mark.parametrize("step", [1e-3, 1e-2])
+def test_a_pull_that_is_held_before_it_is_let_go_is_not_clipped(step: float) -> None:
+    t_s = np.arange(3000) / RATE_HZ
+    since = np.maximum(t_s - 2.0, 0.0)
+    swing = np.exp(-0.3 * since) * np.cos(15.0 * since) + 1e-4 * np.random.default_rng(7).standard_normal(len(t_s))
+    followed = track(RawVibration("pulled", t_s, {"heave": np.round(swing / step) * step}, None), BAND_HZ)
+    assert np.median(followed.frequency_hz) == pytest.approx(15.0 / (2.0 * np.pi), rel=0.01)
+
+
+def test_a_sine_without_noise_is_not_clipped() -> None:
+    t_s = np.arange(3000) / RATE_HZ
+    followed = track(RawVibration("sine", t_s, {"heave": np.sin(2.0 * np.pi * 2.5 * t_s)}, None), BAND_HZ)
+    assert followed.steady.any()
+
+
 def test_a_cycle_above_the_band_is_told() -> None:
     """Its rest at the edge of the band gave an onset that was 47 % too high."""
     t_s = np.arange(3000) / RATE_HZ

@@ -141,10 +141,18 @@ def _cycles(values: Floats, rate_hz: float, centre_hz: float) -> bool:
 
 
 def _clipped(values: Floats) -> bool:
-    """Whether samples (n,) pile up at an end, beyond what coarse steps make of a sine."""
-    counts = np.unique(values, return_counts=True)[1].tolist()
-    ends = ((counts[0], counts[1:2]), (counts[-1], counts[-2:-1]))
-    return any(piled > max(_PILED * len(values), _STEEP * sum(following)) for piled, following in ends)
+    """Whether samples (n,) pile up at an end again and again, beyond what coarse steps make of a sine.
+
+    One pile alone, the longest, may be a pull that was held before it was let go.
+    """
+    levels, counts = np.unique(values, return_counts=True)
+    for end, following in ((levels[0], counts[1:2]), (levels[-1], counts[-2:-1])):
+        turns = np.diff(values == end, prepend=False, append=False)
+        piles = np.diff(np.flatnonzero(turns))[::2]
+        piles = piles[piles > 1]  # single samples that are alike are those of a sine without noise
+        if piles.sum() - piles.max(initial=0) > max(_PILED * len(values), _STEEP * following.sum()):
+            return True
+    return False
 
 
 def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[float, float, float]:
