@@ -27,9 +27,9 @@ _POOR = 0.3  # of the force, from which the error of the stated kind is doubted 
 def error_ratio(force: Spectra, columns: Spectra, omega: Floats, delay_s: float) -> float:
     """Error of least squares over the force, both rms; ``force`` (n,), ``columns`` (s, n), ``omega`` (n,) in rad/s."""
     turned = force * np.exp(1j * omega * delay_s)
-    values = np.linalg.lstsq(_real(columns).T, _real(turned), rcond=None)[0]
-    left = _real(turned) - values @ _real(columns)
-    return float(np.sqrt(np.mean(left**2) / np.mean(_real(turned) ** 2)))
+    values = np.linalg.lstsq(real_rows(columns).T, real_rows(turned), rcond=None)[0]
+    left = real_rows(turned) - values @ real_rows(columns)
+    return float(np.sqrt(np.mean(left**2) / np.mean(real_rows(turned) ** 2)))
 
 
 def least_error(force: Spectra, columns: Spectra, omega: Floats, step_s: float) -> tuple[float, float]:
@@ -50,5 +50,6 @@ def another_kind(stated: int, errors: dict[int, float]) -> int | None:
     return kind if clearer else None
 
 
-def _real(values: Spectra) -> Floats:
+def real_rows(values: Spectra) -> Floats:
+    """Real parts of complex rows (..., n), then imaginary ones, (..., 2 n)."""
     return np.concatenate([values.real, values.imag], axis=-1)

@@ -25,7 +25,7 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.even_recording import EvenRecording, evenly
-from companion.diagnosis.forced.force_delay import DEFLECTION, KINDS, Spectra, another_kind, least_error
+from companion.diagnosis.forced.force_delay import DEFLECTION, KINDS, Spectra, another_kind, least_error, real_rows
 from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Cause, Progress
@@ -149,7 +149,7 @@ def diagnose_forced(
     _refuse_integrated_noise(rows, band_hz)
     delay_s = _delay(rows, start_s, step_s)
     shift = np.exp(1j * rows.omega * delay_s)
-    force, late = _real(rows.table[0] * shift), _real(-1j * rows.omega * rows.table[0] * shift)
+    force, late = real_rows(rows.table[0] * shift), real_rows(-1j * rows.omega * rows.table[0] * shift)
     columns, scale, weight, variance = _weighted(rows, delay_s)
     omega, block = np.tile(rows.omega, 2), np.tile(rows.block, 2)
     linear = tuple(
@@ -275,7 +275,7 @@ def _delay(rows: _Rows, start_s: float, step_s: float) -> float:
 
 
 def _log_likelihood(rows: _Rows, delay_s: float) -> float:
-    force = _real(rows.table[0] * np.exp(1j * rows.omega * delay_s))
+    force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
     columns, _, weight, _ = _weighted(rows, delay_s)
     left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
     return float(-0.5 * len(force) * np.log(np.mean((left / weight) ** 2)) - np.log(weight).sum())
@@ -283,16 +283,11 @@ def _log_likelihood(rows: _Rows, delay_s: float) -> float:
 
 def _weighted(rows: _Rows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Columns (s, 2 n) over ``scale`` (s,); relative noise of each row (2 n,), and its variance over the response's."""
-    force = _real(rows.table[0] * np.exp(1j * rows.omega * delay_s))
-    columns = _real(rows.table[1:])
+    force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
+    columns = real_rows(rows.table[1:])
     scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
     columns = columns / scale[:, None]
     return columns, scale, *_weight(rows, force, columns, scale)
-
-
-def _real(values: Spectra) -> Floats:
-    """Real parts, then imaginary ones, along the last axis."""
-    return np.concatenate([values.real, values.imag], axis=-1)
 
 
 def _series(even: EvenRecording, band_hz: tuple[float, float], kind: int) -> list[Floats]:
