@@ -236,6 +236,31 @@ def test_a_negative_damping_is_noted(hardening: ForcedRecording) -> None:
     assert any(note.startswith("damping comes out negative") for note in plain["notes"])
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_tone_alone_tells_no_law(noise: float) -> None:
+    """A linear spring was named cubic stiffness by one, and a clean one ended in a singular matrix."""
+    tone = tone_of(50.0, noise)
+    with pytest.raises(RecordingError, match="one frequency alone, 50 Hz"):
+        diagnose_forced([tone], (5.0, 190.0), 3, lambda _what, _ratio: None)
+
+
+def test_tones_one_after_the_other_tell_mass_from_spring() -> None:
+    tones = [tone_of(hz, 1e-3) for hz in (20.0, 35.0, 50.0, 80.0)]
+    judged = as_json(diagnose_forced(tones, (5.0, 190.0), 3, lambda _what, _ratio: None))
+    assert judged["linear"]["before"]["frequency_hz"] == pytest.approx(40.0, rel=2e-3)
+
+
+def tone_of(frequency_hz: float, noise: float) -> ForcedRecording:
+    """Steady tone of force on a linear oscillator of 40 Hz with 5 % damping, unit stiffness."""
+    t_s, ratio = np.arange(12_000) / 610.0, frequency_hz / 40.0
+    receptance = 1.0 / (1.0 - ratio**2 + 0.1j * ratio)
+    turning = np.exp(2j * np.pi * frequency_hz * t_s)
+    spoilt = noise * np.random.default_rng(1).standard_normal((2, len(t_s)))
+    return ForcedRecording(
+        f"{frequency_hz:g} Hz", t_s, turning.imag + spoilt[0], (receptance * turning).imag + spoilt[1]
+    )
+
+
 def test_too_short_a_recording_says_so() -> None:
     t_s = np.arange(300) / RATE_HZ
     with pytest.raises(RecordingError, match="too short"):

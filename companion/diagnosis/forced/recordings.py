@@ -48,6 +48,7 @@ _FINER = 4  # times the rate at which laws are made: a cube reaches three times 
 _PASSES = 4  # of least squares: the weight depends on the coefficients (choice)
 _FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over the response's mean, by 1.26 (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
+_LEAST_SPREAD = 1.0  # chosen, bins rms: a tone in a Hann taper has 0.33 to 0.5
 _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
 _DRIVEN = 0.01  # of the segment's largest power of the force, from which a bin is driven (choice)
 _ANSWERED = 100.0  # chosen, times the response's least power in the band: from there a bin is known in spite of noise
@@ -213,6 +214,7 @@ def _rows(
     table, omega, kinds_of, block, motion = (
         np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)
     )
+    _check_spread(np.abs(table[0]) ** 2, omega, max(float(np.min(np.diff(each), initial=np.inf)) for each in omegas))
     return _Rows(table, omega, kinds_of, block, motion, power)
 
 
@@ -329,6 +331,16 @@ def _segments(
         power = float(np.sum(np.abs(spectra[3]) ** 2))
         segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside]), power))
     return segments
+
+
+def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:
+    """Refuse a force of one frequency: of its power (n,) at omega (n,), rad/s, nothing tells a mass from a spring."""
+    middle = float(power @ omega / power.sum())
+    if float(power @ (omega - middle) ** 2 / power.sum()) < (_LEAST_SPREAD * bin_radps) ** 2:
+        raise RecordingError(
+            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass cannot be told from a "
+            "spring: drive with noise, a sweep, or one frequency after the other"
+        )
 
 
 def _driven(force: Spectra, inside: Bools) -> Bools:
