@@ -338,8 +338,8 @@ def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:
     middle = float(power @ omega / power.sum())
     if float(power @ (omega - middle) ** 2 / power.sum()) < (_LEAST_SPREAD * bin_radps) ** 2:
         raise RecordingError(
-            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass cannot be told from a "
-            "spring: drive with noise, a sweep, or one frequency after the other"
+            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass cannot be told "
+            "from a spring: drive with noise, a sweep, or one frequency after the other"
         )
 
 
