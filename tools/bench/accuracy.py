@@ -145,10 +145,10 @@ def _details(suite: str, of_suite: list[Score]) -> Iterator[Row]:
 def _ratio_row(
     name: str, scores: list[Score], squares: Callable[[Score], Floats], target: tuple[float, float] | None
 ) -> Row:
-    """Pool ratios of (tracker, reference) x modes: sums over the seeds of a truth first, then the mean over truths."""
+    """Pool ratios of (tracker, reference) x columns: sums over a truth's seeds first, then the mean over truths."""
     sums: dict[str, Floats] = {}
     for s in scores:
-        sums[s.label] = sums.get(s.label, np.zeros((2, 2))) + squares(s)
+        sums[s.label] = sums.get(s.label, np.zeros(())) + squares(s)
     ratios = np.array([total[0] / total[1] for total in sums.values()])
     singles = np.array([np.sqrt(squares(s)[0] / squares(s)[1]) for s in scores])
     return Row(name, float(np.sqrt(np.mean(ratios))), *_spread(singles), target, len(scores))
@@ -156,7 +156,7 @@ def _ratio_row(
 
 def _slope_ratio_row(name: str, scores: list[Score], target: tuple[float, float] | None) -> Row:
     """Pool ratios of the relative slope's mean squares; both columns are alike, for all modes make it together."""
-    return _ratio_row(name, scores, lambda s: np.stack([s.slope_rad2, s.slope_rad2], axis=1), target)
+    return _ratio_row(name, scores, lambda s: s.slope_rad2[:, np.newaxis], target)
 
 
 def _inside(sigmas: int) -> Callable[[Score], Floats]:

@@ -117,8 +117,9 @@ class ForwardSelection(Generic[TermT, State]):
             behind, factor = most - fitted.log_evidence, fitted.log_evidence - path.fitted.log_evidence
             # a fit that can be neither accepted nor alike to an accepted one need not converge; where none can yet, the
             # score's promise counts: parameters that stood for the effect may still be on their way back
-            worth_it = max(factor, candidate.log_odds) if most - path.fitted.log_evidence < hopeless else factor
-            if not fitted.converged and behind < _WITHIN and worth_it > hopeless and _names(fitted) not in reached:
+            none_yet = most - path.fitted.log_evidence < hopeless
+            expected = max(factor, candidate.log_odds) if none_yet else factor
+            if not fitted.converged and behind < _WITHIN and expected > hopeless and _names(fitted) not in reached:
                 fitted = self._recordings.fit(fitted.terms, fitted, quick=True)
             if not self._recordings.plausible(fitted):
                 continue
