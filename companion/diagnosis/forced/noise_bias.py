@@ -52,21 +52,13 @@ def added_by_noise(omega: Floats, kind: Floats, slopes: Floats, row_variance: Fl
     rows over that of the response, at ``omega`` (n,), ``kind`` (n,) how often the deflection was differentiated.
     """
     weight = 1.0 / (row_variance * omega ** (2.0 * kind))
-    ones = np.ones_like(omega)
-    # each column as (part with e, part with j omega e): -omega^2, j omega and 1 have constant slopes
-    still = np.stack([-(omega**2), 0.0 * ones, ones])
-    moving = np.stack([0.0 * ones, ones, 0.0 * ones])
-    laws = slopes.shape[1]
-    s_mean, z_mean = slopes.mean(axis=2)
-    s_both, z_both = (each @ each.T / each.shape[1] for each in slopes)
-    added = np.empty((3 + laws, 3 + laws))
-    for i in range(3 + laws):
-        for k in range(3 + laws):
-            if i >= 3 and k >= 3:
-                product = s_both[i - 3, k - 3] + omega**2 * z_both[i - 3, k - 3]
-            else:
-                a, b = (still[j] if j < 3 else s_mean[j - 3] for j in (i, k))
-                c, d = (moving[j] if j < 3 else z_mean[j - 3] for j in (i, k))
-                product = a * b + omega**2 * c * d
-            added[i, k] = float(np.sum(weight * product))
+    by_laws, by_slopes = slopes.mean(axis=2), [each @ each.T / each.shape[1] for each in slopes]
+    # each column as a part with e and one with j omega e: of mass, damping and stiffness -omega^2, j omega and 1
+    parts = (np.stack([-(omega**2), np.zeros_like(omega), np.ones_like(omega)]), np.array([[0.0], [1.0], [0.0]]))
+    added = np.zeros((len(scale), len(scale)))
+    for linear, mean, products, power in zip(parts, by_laws, by_slopes, (weight, weight * omega**2), strict=True):
+        rows = np.concatenate([np.broadcast_to(each, (len(each), len(omega))) for each in (linear, mean[:, None])])
+        normal = (rows * power) @ rows.T
+        normal[len(linear) :, len(linear) :] = power.sum() * products  # two laws vary together
+        added += normal
     return np.asarray(added / np.outer(scale, scale))
