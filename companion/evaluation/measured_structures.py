@@ -26,7 +26,8 @@ from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
-from companion.evaluation.pages.flutter_page import findings_page, flutter_page
+from companion.evaluation.pages.findings_page import findings_page
+from companion.evaluation.pages.flutter_page import flutter_page
 from companion.evaluation.pages.measured_pages import headline, ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe

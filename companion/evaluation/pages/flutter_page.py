@@ -1,4 +1,4 @@
-"""Pages of nonlinear structures: self-excited vibration, and an oscillator with a measured force."""
+"""Page of a structure that vibrates by itself in the wind."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from companion.diagnosis.limit_cycles.recordings import FlutterDiagnosis
+from companion.evaluation.pages.findings_page import causes_table
 from companion.evaluation.pages.measured_pages import check_table, rendered
 from companion.reporting.blocks import Advice, Block, Heading, Paragraph, Table
 from companion.reporting.embedding import embed
@@ -19,7 +20,7 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
         *[Advice(f"{entry['says']}.") for entry in plain["labels"]],
         Heading("What a linear wing gets wrong"),
         *[Paragraph(f"It has {sentence}.") for sentence in plain["linear_wing"]["wrong"]],
-        *_causes(plain),
+        *causes_table(plain),
     ]
     if plain["held_out_speeds"]:
         body += [
@@ -43,53 +44,6 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
         *[Paragraph(note) for note in plain["notes"]],
     ]
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
-
-
-def findings_page(plain: dict[str, Any], what: str) -> str:
-    """The page of any kind of recording from what its JSON has: causes, gain, an oscillator's linear part, tests."""
-    body: list[Block] = [*_causes(plain)]
-    if plain["gain"]:
-        error = plain["gain"]["error"]
-        before, after = (100.0 * value for value in error["share_of_signal"])
-        body.append(Paragraph(f"Held-out error of the {error['what']}: {before:.1f} → {after:.1f} % of its rms."))
-    body += [
-        *_linear_part(plain.get("linear")),
-        Heading("What is left"),
-        check_table(plain, "test", "linear wing"),
-        *[Paragraph(note) for note in plain["notes"]],
-    ]
-    return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
-
-
-def _linear_part(linear: dict[str, Any] | None) -> list[Block]:
-    if linear is None:
-        return []
-    heads = ["model", "frequency", "damping ratio", "stiffness", "mass"]
-    rows = [
-        [
-            name,
-            f"{entry['frequency_hz']:.4g} Hz",
-            f"{entry['damping_ratio']:.3g}",
-            f"{entry['stiffness']:.4g}",
-            f"{entry['mass']:.4g}",
-        ]
-        for name, entry in (("linear", linear["before"]), ("extended", linear["after"]))
-    ]
-    return [Heading("Its linear part"), Table(heads, rows)]
-
-
-def _causes(plain: dict[str, Any]) -> list[Block]:
-    rows = []
-    for cause in plain["causes"]:
-        values = "; ".join(
-            f"{key} {entry['value']:.3g} ± {entry['sigma']:.2g} {entry['unit']}".rstrip()
-            for key, entry in cause["parameters"].items()
-        )
-        rows.append(
-            [cause["name"], cause["channel"] or "–", values, f"{cause['log_bayes_factor']:.0f}", f"{cause['z']:.1f}"]
-        )
-    heads = ["cause", "follows", "parameters", "log Bayes factor", "sigmas"]
-    return [Heading("Causes, strongest first"), Table(heads, rows)] if rows else []
 
 
 def _held_out(plain: dict[str, Any]) -> Table:
