@@ -265,7 +265,8 @@ static void roll_errors(const jacobian *j, const motion *m, int64_t k, const int
 }
 
 typedef struct {
-    double *rows, *vertical, *lateral, *slope_rate_gain, *gain, *load_g, *body_rate, *sensitivity, *aliasing, *motion;
+    double *rows, *vertical, *lateral, *slope_rate_gain, *gain, *load_g, *body_rate, *earlier_roll, *sensitivity,
+        *aliasing, *motion;
     uint8_t *present, *covered;
     int64_t *start_ns, parameters;
 } epoch_columns;
@@ -281,6 +282,7 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
         .gain = reals(record->lateral_gain, 2, &good),
         .load_g = reals(record->load_g, 1, &good),
         .body_rate = reals(record->body_rate_radps, 2, &good),
+        .earlier_roll = reals(record->earlier_roll_radps2, 1, &good),
         .sensitivity = reals(record->sensitivity, 3, &good),
         .aliasing = reals(record->aliasing_noise, 2, &good),
         .motion = reals(record->root_motion_variance, 2, &good),
@@ -291,7 +293,7 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
     };
     const array *all[] = {record->rows,         record->present, record->vertical_mps2,   record->lateral_mps2,
                           record->load_g,       record->start_ns, record->slope_rate_gain, record->lateral_gain,
-                          record->sensitivity,  record->body_rate_radps,
+                          record->sensitivity,  record->body_rate_radps, record->earlier_roll_radps2,
                           record->aliasing_noise, record->root_motion_variance, record->root_covered};
     for (size_t k = 0; k < sizeof all / sizeof *all; k++)
         good = good && extent(all[k], 0) >= n;
@@ -336,6 +338,9 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     }
     roll_errors(&j, m, k, columns);
     rows[P_ROOT] = rate[0];
+    double turned[CHANNELS];
+    mean_before(m->d_smooth, CHANNELS, m, k, turned);
+    out->earlier_roll[k] = turned[ROLL];
     for (int row = 0; row < ROWS; row++)
         if (!present[row])
             rows[row] = 0.0;

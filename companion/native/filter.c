@@ -14,6 +14,7 @@
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
 #define STRUCK_SIGMAS 3.0
+#define LEAST_SHORTENING 0.1
 
 /* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
  * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
@@ -83,7 +84,7 @@ typedef struct {
     int64_t entries, linearised_rows;
 
     const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *body_rate_radps,
-        *row_sensitivity, *aliasing_noise, *root_motion_variance;
+        *earlier_roll_radps2, *row_sensitivity, *aliasing_noise, *root_motion_variance;
     const uint8_t *present;
 
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
@@ -200,6 +201,12 @@ static void find_lift_rates(const run *f, int64_t k, int side, rank_shares share
     }
 }
 
+/* Estimated over believed way inboard; the bound keeps an estimate that runs away from dividing by nothing. */
+static double shortening_factor(const run *f, int64_t column)
+{
+    return column ? most(1.0 + f->one_and_bias[column], LEAST_SHORTENING) : 1.0;
+}
+
 /* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
  * wing's tip, which moves inboard by half of K w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
@@ -209,6 +216,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     int64_t squares = f->ranks * f->ranks;
     bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
     const double *K = f->shortening_pm + side * squares;
+    double lowest = shortening_factor(f, f->constants->shortening_column);
+    double further = shortening_factor(f, f->constants->further_shortening_column);
     rank_shares share = find_shares(f, side);
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
@@ -222,24 +231,24 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
         double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
-            double shortening = measured ? K[a * f->ranks + b] : 0.0;
+            double estimated = (a || b ? further : lowest) * K[a * f->ranks + b];
+            double shortening = measured ? estimated : 0.0;
             by_lift += shortening * accelerations[b];
             by_rate += shortening * rates[b];
             by_moment += shortening * inside[b];
             tip.per_acceleration[b] -= shortening * lift;
-            tip.expected -= K[a * f->ranks + b] *
-                            (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
+            tip.expected -= estimated * (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
-        /* no p': estimated from the same tips, it goes with the error of p' w, and would teach a lift that is not */
-        tip.per_lift[a] = turning - by_lift;
+        /* an earlier p': the state's, estimated from the same tips, goes with the error of p' w and teaches false lifts */
+        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_lift;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;
         tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         if (a == 0 && measured)
-            tip.inboard_by_lowest = -K[0] * (accelerations[0] * mean_lift + (rates[0] + inside[0]) * rates[0]);
+            tip.inboard_by_lowest = -lowest * K[0] * (accelerations[0] * mean_lift + (rates[0] + inside[0]) * rates[0]);
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
@@ -397,6 +406,15 @@ static void add_acceleration_errors(const run *f, int64_t k, int side, double *o
             out[f->regressor_columns[j]] -= tip->gain * tip->force;
 }
 
+/* Sensitivity of a slope row (width,) to a relative error of the way inboard, whose estimate makes `reading` of it. */
+static void add_shortening(const run *f, int64_t column, double reading, double *out)
+{
+    if (!column)
+        return;
+    out[column] += reading / shortening_factor(f, column);
+    out[0] -= out[column] * f->one_and_bias[column];
+}
+
 /* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
 static void find_innovation(run *f, int64_t k, double *out)
 {
@@ -421,12 +439,9 @@ static void find_innovation(run *f, int64_t k, double *out)
         if (r >= 0) {
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
             out[r * width] += f->tip[side].rest;
-            double by_lowest = f->tip[side].inboard_by_lowest;
-            if (f->constants->shortening_column)
-                out[r * width + f->constants->shortening_column] -= f->tip[side].gain * by_lowest;
-            if (f->constants->further_shortening_column)
-                out[r * width + f->constants->further_shortening_column] -=
-                    f->tip[side].gain * (f->tip[side].inboard - by_lowest);
+            double by_lowest = f->tip[side].inboard_by_lowest, by_further = f->tip[side].inboard - by_lowest;
+            add_shortening(f, f->constants->shortening_column, -f->tip[side].gain * by_lowest, out + r * width);
+            add_shortening(f, f->constants->further_shortening_column, -f->tip[side].gain * by_further, out + r * width);
             if (f->constants->common_bias_column)
                 out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
             add_acceleration_errors(f, k, side, out + r * width);
@@ -795,12 +810,13 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->lateral_gain = reals(record->lateral_gain, 2, &good);
     f->load_g = reals(record->load_g, 1, &good);
     f->body_rate_radps = reals(record->body_rate_radps, 2, &good);
+    f->earlier_roll_radps2 = reals(record->earlier_roll_radps2, 1, &good);
     f->row_sensitivity = reals(record->sensitivity, 3, &good);
     f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
     return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
-           extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1 &&
+           extent(record->earlier_roll_radps2, 0) >= last && extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1 &&
            extent(record->root_motion_variance, 0) >= last;
 }
 

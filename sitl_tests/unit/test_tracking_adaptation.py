@@ -70,6 +70,7 @@ def _epochs(
         lateral_gain=two,
         load_g=0.1 * rng.normal(size=n),
         body_rate_radps=np.zeros((n, 3)),
+        earlier_roll_radps2=np.zeros(n),
         sensitivity=rng.normal(size=(n, ROWS, bias_parameters)),
         aliasing_noise=two,
         root_motion_variance=np.zeros((n, 3)),

@@ -68,11 +68,17 @@ def _epochs(kalman: SeparatedBiasFilter, missing: float) -> Epochs:
         lateral_gain=np.array([-0.1, 0.1]) * (1.0 + 0.1 * rng.standard_normal((STEPS, 2))),
         load_g=0.2 * rng.standard_normal(STEPS),
         body_rate_radps=np.zeros((STEPS, 3)),
+        earlier_roll_radps2=rng.standard_normal(STEPS),
         sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, parameters)),
         aliasing_noise=rng.random((STEPS, 2)),
         root_motion_variance=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
         root_covered=np.ones(STEPS, np.bool_),
     )
+
+
+def _believed(kalman: SeparatedBiasFilter) -> Floats:
+    """``[1; c]`` of bias parameters without an error."""
+    return np.eye(1, 1 + len(kalman.bias_parameters))[0]
 
 
 def _kernel_arguments(kalman: SeparatedBiasFilter) -> tuple[FilterConstants, DiscreteModel, FilterState, History]:
@@ -157,7 +163,7 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     epochs = epochs._replace(rows=np.zeros_like(epochs.rows), sensitivity=np.zeros_like(epochs.sensitivity))
     state = 0.002 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
     measured, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), np.zeros((ROWS, kalman.layout.size + 1))
-    kernel_numpy._linearise(const, model, epochs, 5, state, measured, H)
+    kernel_numpy._linearise(const, model, epochs, 5, state, _believed(kalman), measured, H)
     left, right, root = 0.011, -0.007, 0.004  # biases
     sensors = (EXACT_SCALES.left, EXACT_SCALES.right, EXACT_SCALES.root)
     weight = np.array([sensor.accel_bias_sigma_mps2**-2 for sensor in sensors])
@@ -180,24 +186,27 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
 def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: int | None) -> None:
     """Coriolis' and Euler's force and the way inboard: the prediction's difference quotient by every state.
 
-    Of Euler's force ``p' w`` the derivative by the lift is left out.
+    The roll acceleration of some epochs before, which the derivative by a lift has, is the present one here.
     """
     kalman = _filter()
     const, model, _, _ = _kernel_arguments(kalman)
     epochs, size = _epochs(kalman, 0.0), kalman.layout.size + 1
     none = np.zeros((STEPS, 2))  # the slope's change with the force inside the epoch is taken as known
-    epochs = epochs._replace(rows=0.1 * epochs.rows, lateral_mps2=none, slope_rate_gain=none)
+    roll_accel = 2.0
+    earlier = np.full(STEPS, roll_accel)
+    epochs = epochs._replace(
+        rows=0.1 * epochs.rows, lateral_mps2=none, slope_rate_gain=none, earlier_roll_radps2=earlier
+    )
     if missing is not None:
         epochs.present[5, missing] = False
     state = 3e-4 * np.random.default_rng(3).standard_normal(size)
-    roll_accel = 2.0
     state[kalman.layout.roll_rate], state[kalman.layout.roll_accel] = 0.5, roll_accel
 
     def linearised(at: Floats) -> tuple[Floats, Floats]:
         """Innovations of both slope rows, and their derivative by the state with its sign turned."""
         residual = np.zeros((ROWS, 1 + len(kalman.bias_parameters)))
         residual[:, 0], H = epochs.rows[5], model.H.copy()
-        kernel_numpy._linearise(const, model, epochs, 5, at, residual, H)
+        kernel_numpy._linearise(const, model, epochs, 5, at, _believed(kalman), residual, H)
         return (residual[:, 0] - H @ at)[Y_LEFT : Y_LEFT + 2], H[Y_LEFT : Y_LEFT + 2]
 
     _, H = linearised(state)
@@ -206,9 +215,7 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         step[i] = 1e-4
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
-        lifts = np.array([model.linearisation_rows[6 + side :: 6, i][: kalman.layout.ranks].sum() for side in (0, 1)])
-        left_out = epochs.lateral_gain[5] * roll_accel * lifts
-        assert -quotient == pytest.approx(H[:, i] + left_out, abs=0.02 * tilt), f"state {i}"
+        assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
 
 
 def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
@@ -226,7 +233,7 @@ def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
         residual, H = np.zeros((ROWS, 1 + len(parameters))), model.H.copy()
         residual[:, 0] = epochs.rows[5]
         varied = const._replace(shortening_pm=shortening_pm)
-        kernel_numpy._linearise(varied, model, epochs, 5, state, residual, H)
+        kernel_numpy._linearise(varied, model, epochs, 5, state, _believed(kalman), residual, H)
         residual[:, 0] -= H @ state
         return residual[Y_LEFT : Y_LEFT + 2]
 
@@ -237,6 +244,24 @@ def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
         by_parameter = innovation(K)[:, 1 + parameters.index(name)]
         assert np.abs(quotient).max() > 1e-4, name
         assert quotient == pytest.approx(by_parameter, rel=0.05, abs=1e-5), name
+
+
+def test_rows_are_linear_about_the_estimated_way_inboard() -> None:
+    """With an estimated error of it a filter has the state and covariance of one whose file has no such error."""
+    estimated, filed = _filter(), _filter()
+    const, model, state, history = _kernel_arguments(estimated)
+    epochs = _epochs(estimated, 0.0)
+    epochs = epochs._replace(rows=0.1 * epochs.rows, sensitivity=np.zeros_like(epochs.sensitivity))
+    factors = np.full(const.shortening_pm.shape[1:], 0.8)
+    factors[0, 0] = 1.2
+    state.one_and_bias[[const.shortening_column, const.further_shortening_column]] = 0.2, -0.2
+    assert kernel_loops.filter_epochs(const, model, epochs, state, history, 0, STEPS, 0)
+    const, model, state_of_filed, history_of_filed = _kernel_arguments(filed)
+    const = const._replace(shortening_pm=const.shortening_pm * factors)
+    assert kernel_loops.filter_epochs(const, model, epochs, state_of_filed, history_of_filed, 0, STEPS, 0)
+    sigma = np.sqrt(np.diag(filed.covariance))
+    assert np.abs((estimated.state - filed.state) / sigma).max() < 1e-3
+    assert np.sqrt(np.diag(estimated.covariance)) == pytest.approx(sigma, rel=1e-4)
 
 
 LATERAL_MPS2, GRAVITY_MPS2, FINE = 0.5, 9.80665, 64
@@ -289,7 +314,7 @@ def test_a_wing_that_swings_far_shows_the_slope_row_what_it_expects(lift_m: floa
         epochs = _swinging(kalman, state, side, scale)
         residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
         residual[:, 0], residual[:, 1:] = epochs.rows[0], -epochs.sensitivity[0]
-        kernel_numpy._linearise(const, model, epochs, 0, state, residual, H)
+        kernel_numpy._linearise(const, model, epochs, 0, state, _believed(kalman), residual, H)
         force_mps2 = abs(float(epochs.vertical_mps2[0, side]))
         return float(residual[row, 0] - H[row] @ state) * force_mps2, float(residual[row, column]) * force_mps2
 

@@ -174,6 +174,7 @@ def _empty(n: int, parameters: int) -> Epochs:
         lateral_gain=np.empty((n, 2)),
         load_g=np.empty(n),
         body_rate_radps=np.empty((n, 3)),
+        earlier_roll_radps2=np.empty(n),
         sensitivity=np.empty((n, ROWS, parameters)),
         aliasing_noise=np.empty((n, 2)),
         root_motion_variance=np.empty((n, 3)),

@@ -103,7 +103,7 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     tip, rate = motion.tip[:, side], motion.d_tip[:, side]
     y, z, p = tip[:, 1], tip[:, 2], tip[:, 3]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
-    rigid, omega = (_mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
+    rigid, omega = (mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
     vertical, lateral, roll = Z_LEFT + side, Y_LEFT + side, P_LEFT + side
     scaled_y, scaled_z = with_earlier_rigid(motion, side, 1), with_earlier_rigid(motion, side, 2)
     lean = y - motion.rigid[:, side, 1]
@@ -131,7 +131,7 @@ def with_earlier_rigid(motion: SensedMotion, side: int, axis: int) -> Floats:
     factors grew and lateral and roll rate scales shrank by 2 % together.
     """
     tip, rigid = motion.tip[:, side, axis], motion.rigid[:, side, axis]
-    return np.asarray(tip + _mean_before(rigid[:, None], motion.root_present)[:, 0] - rigid)
+    return np.asarray(tip + mean_before(rigid[:, None], motion.root_present)[:, 0] - rigid)
 
 
 def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
@@ -142,7 +142,7 @@ def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
     which the innovations are full of, no scale may be regressed.
     """
     p = motion.omega[:, :1]
-    return np.asarray((_mean_before(p, motion.root_present) - p)[:, 0])
+    return np.asarray((mean_before(p, motion.root_present) - p)[:, 0])
 
 
 def _root_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, columns: Ints) -> None:
@@ -174,7 +174,7 @@ def _root_biases(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     _set_column(out, lateral, columns[_BR], (2.0 * aside * r - below * q) * gain)
 
 
-def _mean_before(values: Floats, root_present: Bools) -> Floats:
+def mean_before(values: Floats, root_present: Bools) -> Floats:
     """Mean of values (n, c) over :data:`AVERAGED` epochs that end :data:`EARLIER` before each, those with a root.
 
     The values themselves where the root was in none of them.

@@ -13,6 +13,7 @@ from scipy.linalg import lapack
 
 from companion.core.kernels.arrays import (
     GATE_SIGMAS,
+    LEAST_SHORTENING,
     LOAD_FACTOR_TIME_S,
     LOAD_VARIANCE_RATIO,
     MAX_NOISE_INFLATION,
@@ -63,12 +64,13 @@ def _filter_step(
         filter_state.one_and_bias,
     )
     n = len(covariance)
+    const = const._replace(shortening_pm=const.shortening_pm * _shortening_factors(const, one_and_bias))
     _static_bend(const, state_and_sensitivity[n], epochs.load_g[k])
     history.state[slot], history.covariance[slot] = state_and_sensitivity[:n], covariance
     history.transition_index[slot], history.static_m[slot] = model.transition_index, state_and_sensitivity[n]
     residual_columns = np.concatenate([epochs.rows[k][:, None], -epochs.sensitivity[k]], axis=1)
     H, state = model.H.copy(), state_and_sensitivity @ one_and_bias
-    _linearise(const, model, epochs, k, state, residual_columns, H)
+    _linearise(const, model, epochs, k, state, one_and_bias, residual_columns, H)
     used = _select_rows(model, epochs, k)
     H_used = H[used, :n]
     HP = H_used @ covariance
@@ -216,6 +218,7 @@ def _linearise(
     epochs: Epochs,
     k: int,
     state: Floats,
+    one_and_bias: Floats,
     residual_columns: Floats,
     H: Floats,
 ) -> None:
@@ -233,10 +236,15 @@ def _linearise(
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side, tip in enumerate(tips):
         residual_columns[Y_LEFT + side, 0] += tip.rest
-        if const.shortening_column:
-            residual_columns[Y_LEFT + side, const.shortening_column] -= tip.inboard_by_lowest
-        if const.further_shortening_column:
-            residual_columns[Y_LEFT + side, const.further_shortening_column] -= tip.inboard - tip.inboard_by_lowest
+        by_further = tip.inboard - tip.inboard_by_lowest
+        for column, reading in (
+            (const.shortening_column, tip.inboard_by_lowest),
+            (const.further_shortening_column, by_further),
+        ):
+            if column:  # the rows have it at the estimate, and column 0 is that of no error
+                per_error = -reading / max(1.0 + one_and_bias[column], LEAST_SHORTENING)
+                residual_columns[Y_LEFT + side, column] += per_error
+                residual_columns[Y_LEFT + side, 0] -= per_error * one_and_bias[column]
         H[Y_LEFT + side] += tip.row
         for at, by_acceleration in zip((side, 1 - side), tip.by_acceleration, strict=True):
             if (bias := int(const.vertical_bias_state[at])) >= 0:
@@ -262,6 +270,17 @@ def _linearise(
     residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[
         6 + 6 * const.shortening_pm.shape[1] :
     ]
+
+
+def _shortening_factors(const: FilterConstants, one_and_bias: Floats) -> Floats:
+    """Estimated over believed way inboard by pairs of ranks, (r, r)."""
+    lowest, further = (
+        max(1.0 + one_and_bias[column], LEAST_SHORTENING) if column else 1.0
+        for column in (const.shortening_column, const.further_shortening_column)
+    )
+    factors = np.full(const.shortening_pm.shape[1:], further)
+    factors[0, 0] = lowest
+    return factors
 
 
 def _lift_rows(const: FilterConstants, model: DiscreteModel) -> Floats:
@@ -296,7 +315,8 @@ def _moving_tip(
 ) -> _MovingTip:
     """``2 p w' + (p' - q r) w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it.
 
-    The derivative by a lift leaves ``p'`` out: estimated from the same tips, it goes with the error of ``p' w``.
+    The derivative by a lift has the root's ``p'`` of some epochs before: the state's, estimated from the same tips,
+    goes with the error of ``p' w``.
     """
     ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
     lift_rows, rate_rows, accel_rows = np.stack(
@@ -330,7 +350,8 @@ def _moving_tip(
     sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
     along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    row = (by_gyros - K @ accel) @ lift_rows + (2.0 * (p - K @ rate) - inside) @ rate_rows
+    row = (epochs.earlier_roll_radps2[k] + by_gyros - K @ accel) @ lift_rows
+    row = row + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
     row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
     by_roll = per_measured * float(const.lever_m[side]) + per_other * float(const.lever_m[1 - side])

@@ -15,6 +15,7 @@ from companion.units import GRAVITY_MPS2
 from sitl_tests.reference.kernels.error_jacobians import (
     SensedMotion,
     central_difference,
+    mean_before,
     sensitivities,
     with_earlier_rigid,
 )
@@ -140,6 +141,7 @@ def _rows_and_jacobians(
         gains,
         load_g,
         body_rate_radps,
+        mean_before(motion.omega_dot[:, :1], motion.root_present)[:, 0],
         sensitivity,
         aliasing_noise,
         root_motion_variance,
