@@ -167,4 +167,24 @@ def test_a_tip_that_carries_mass_moves_inboard_as_its_slope_factors_say(mass_rat
     assert uniform[0, 1] == pytest.approx(products[0, 1] / (1.0 + 1.7 * mass_ratio), rel=0.02)
 
 
+def test_a_second_mode_pulls_the_tip_inboard_as_its_slope_factor_says() -> None:
+    """Beside a static bend of the first mode the second one's acceleration a does so by ``K_12 q_1 a``."""
+    slopes, products = _loaded_cantilever(0.1)
+    first, second = (
+        Mode(Uncertain(f), Uncertain(0.03), Uncertain(s)) for f, s in zip((5.0, 27.0), slopes, strict=True)
+    )
+    wing = Wing(
+        1.0, first, first, Gust(Uncertain(0.005)), Uncertain(0.0), Uncertain(0.015), second, shortening=Uncertain(1.0)
+    )
+    model = WingModel(wing)
+    q, accel = np.zeros((1, model.count)), np.zeros((1, model.count))
+    bend_m, accel_mps2 = 0.03, 4.0
+    q[0, model.structure.slots.index(0)], accel[0, model.structure.slots.index(2)] = bend_m, accel_mps2
+    path = ModalPath(q, np.zeros_like(q), accel)
+    reading = sense_station(model, Side.RIGHT, TIP[Side.RIGHT], _steady(), path)[0]
+    body_from_sensor = Rotation.from_rotvec([-slopes[0] * bend_m, 0.0, 0.0])
+    across = body_from_sensor.apply(reading[:3])[1]
+    assert across == pytest.approx(-products[0, 1] * bend_m * accel_mps2, rel=0.025)
+
+
 bounded = st.floats(-1.0, 1.0)

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from companion.core.tracking.tracker import WingTracker
-from companion.params.airframe import FAMILIES, Airframe
+from companion.core.wing.shortening import shortening_pm
+from companion.params.airframe import FAMILIES, Airframe, Wing
 from companion.records import Station
 from companion.sim.flight.perturb import SensorErrors, TruthAirframe
 
@@ -27,12 +28,19 @@ def constants(tracker: WingTracker, believed: Airframe, real: TruthAirframe) -> 
         "bend_per_g": (wing.bend_per_g_m, actual.bend_per_g_m),
     }
     true = {name: after.value - before.value for name, (before, after) in deviations.items()}
-    # of further modes the simulator has a uniform cantilever's way inboard, and not what their slope factors tell
     true["shortening"] = actual.shortening.value / wing.shortening.value - 1.0
+    true["further_shortening"] = _by_second_mode(actual) / _by_second_mode(wing) - 1.0
     for station in (Station.LEFT, Station.RIGHT):
         true |= {f"{station.name.lower()}.{name}": value for name, value in _errors(real.errors[station]).items()}
     judged = {name: [*estimate, true[name]] for name, estimate in tracker.bias_parameters().items() if name in true}
     return judged | _modal(tracker, real)
+
+
+def _by_second_mode(wing: Wing) -> float:
+    """Way inboard by the product of the first two modes, over that of a cantilever; 1 without a second mode."""
+    second = wing.second_symmetric
+    slopes = (0.0, wing.semispan_m * second.slope_factor_radpm.value) if second else ()
+    return wing.shortening.value * float(shortening_pm((0, 1), 1.0, slopes)[0, 1] / shortening_pm((0, 1), 1.0)[0, 1])
 
 
 def _errors(errors: SensorErrors) -> dict[str, float]:

@@ -78,7 +78,9 @@ def _displaced(model: WingModel, side: Side, position_m: Floats, path: ModalPath
     lift = model.structure.lift[side]
     q, v, a = path.q_m * lift, path.qdot_mps * lift, path.qddot_mps2 * lift
     ranks = tuple(slot // 2 for slot in model.structure.slots)
-    inward = np.sign(position_m[1]) * model.params.shortening.value * shortening_pm(ranks, float(position_m[1]))
+    slope_factors = np.divide(model.structure.slope_radpm[side], lift, out=np.zeros_like(lift), where=lift != 0.0)
+    shape_products_pm = shortening_pm(ranks, float(position_m[1]), slope_factors)
+    inward = np.sign(position_m[1]) * model.params.shortening.value * shape_products_pm
     along = (
         0.5 * np.sum(q @ inward * q, axis=1),
         np.sum(v @ inward * q, axis=1),

@@ -23,7 +23,7 @@ from companion.records import Floats
 _NODES = 96  # of Gauss and Legendre: exact to ten digits for the first six shapes (numerical)
 
 
-def shortening_pm(ranks: tuple[int, ...], lever_m: float, slope_factors_radpm: Sequence[float] = ()) -> Floats:
+def shortening_pm(ranks: tuple[int, ...], lever_m: float, slope_factors_radpm: Sequence[float] | Floats = ()) -> Floats:
     """How far a bent wing's tip moves inboard.
 
     Parameters
