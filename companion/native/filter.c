@@ -14,7 +14,6 @@
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
 #define STRUCK_SIGMAS 3.0
-#define LEAST_SHORTENING 0.1
 
 /* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
  * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
@@ -52,7 +51,8 @@ typedef struct {
     /* its derivatives by the body's roll rate and acceleration, and by each rank's lift, lift rate and acceleration */
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS];
     double rest;                       /* what a linear form of these leaves of the slope row */
-    double inboard, inboard_by_lowest; /* its part by the way inboard, and of that the lowest modes' alone */
+    double inboard; /* its part by the way inboard, and the derivatives by relative errors of that */
+    double per_shortening, per_further_shortening;
     double gain;                       /* what a unit of force adds to the row */
     double lean;                       /* what tilt and force read together */
     double variance;                   /* by accelerations that the measured sums do not tell apart */
@@ -201,10 +201,22 @@ static void find_lift_rates(const run *f, int64_t k, int side, rank_shares share
     }
 }
 
-/* Estimated over believed way inboard; the bound keeps an estimate that runs away from dividing by nothing. */
+/* Estimated over believed way inboard. */
 static double shortening_factor(const run *f, int64_t column)
 {
-    return column ? most(1.0 + f->one_and_bias[column], LEAST_SHORTENING) : 1.0;
+    return column ? 1.0 + f->one_and_bias[column] : 1.0;
+}
+
+/* Lift accelerations as the derivatives have them, by rank: those found, with the root's roll acceleration of some
+ * epochs before. The state's, by which the tips' measured ones are found, is noisy, and its error is in the rows. */
+static void find_instruments(const run *f, int64_t k, int side, rank_shares share, const double *accelerations,
+                             double *instruments)
+{
+    double change = f->earlier_roll_radps2[k] - f->linearised[ROLL_ACCELERATION];
+    for (int64_t b = 0; b < f->ranks; b++) {
+        double lever_m = share.own[b] * f->lever_m[side] + share.other[b] * f->lever_m[1 - side];
+        instruments[b] = accelerations[b] + lever_m * change;
+    }
 }
 
 /* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
@@ -222,18 +234,22 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
     double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2], across = p_dot + turning;
-    double accelerations[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
+    double accelerations[MAX_RANKS], instruments[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
     double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0, by_sum = 0.0;
     find_lift_rates(f, k, side, share, accelerations, rates, inside);
+    find_instruments(f, k, side, share, accelerations, instruments);
     moving_tip tip = {.force = 0.0};
     for (int64_t a = 0; a < f->ranks; a++) {
-        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_rate = 0.0, by_moment = 0.0;
+        double lift = lifts[a * EACH_RANK], by_lift = 0.0, by_instrument = 0.0, by_rate = 0.0, by_moment = 0.0;
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
         double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
             double estimated = (a || b ? further : lowest) * K[a * f->ranks + b];
             double shortening = measured ? estimated : 0.0;
             by_lift += shortening * accelerations[b];
+            by_instrument += shortening * instruments[b];
+            double inward = instruments[b] * mean_lift + (rates[b] + inside[b]) * rates[a];
+            *(a || b ? &tip.per_further_shortening : &tip.per_shortening) -= measured ? K[a * f->ranks + b] * inward : 0.0;
             by_rate += shortening * rates[b];
             by_moment += shortening * inside[b];
             tip.per_acceleration[b] -= shortening * lift;
@@ -242,13 +258,11 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
         /* an earlier p': the state's, estimated from the same tips, goes with the error of p' w and teaches false lifts */
-        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_lift;
+        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;
         tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
-        if (a == 0 && measured)
-            tip.inboard_by_lowest = -lowest * K[0] * (accelerations[0] * mean_lift + (rates[0] + inside[0]) * rates[0]);
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
@@ -406,13 +420,13 @@ static void add_acceleration_errors(const run *f, int64_t k, int side, double *o
             out[f->regressor_columns[j]] -= tip->gain * tip->force;
 }
 
-/* Sensitivity of a slope row (width,) to a relative error of the way inboard, whose estimate makes `reading` of it. */
-static void add_shortening(const run *f, int64_t column, double reading, double *out)
+/* Sensitivity of a slope row (width,) to a relative error of the way inboard, whose estimate is in the row's rest. */
+static void add_shortening(const run *f, int64_t column, double sensitivity, double *out)
 {
     if (!column)
         return;
-    out[column] += reading / shortening_factor(f, column);
-    out[0] -= out[column] * f->one_and_bias[column];
+    out[column] += sensitivity;
+    out[0] -= sensitivity * f->one_and_bias[column];
 }
 
 /* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
@@ -439,9 +453,10 @@ static void find_innovation(run *f, int64_t k, double *out)
         if (r >= 0) {
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
             out[r * width] += f->tip[side].rest;
-            double by_lowest = f->tip[side].inboard_by_lowest, by_further = f->tip[side].inboard - by_lowest;
-            add_shortening(f, f->constants->shortening_column, -f->tip[side].gain * by_lowest, out + r * width);
-            add_shortening(f, f->constants->further_shortening_column, -f->tip[side].gain * by_further, out + r * width);
+            const moving_tip *tip = &f->tip[side];
+            add_shortening(f, f->constants->shortening_column, -tip->gain * tip->per_shortening, out + r * width);
+            add_shortening(f, f->constants->further_shortening_column, -tip->gain * tip->per_further_shortening,
+                           out + r * width);
             if (f->constants->common_bias_column)
                 out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
             add_acceleration_errors(f, k, side, out + r * width);

@@ -10,9 +10,11 @@ import dataclasses
 import pytest
 
 from companion.core.pipeline import start, step
+from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Tick
+from companion.sim.flight.aircraft import FlightPlan
 from companion.sim.flight.flight import build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.offline import HOST_EPOCH_NS
@@ -26,6 +28,7 @@ pytestmark = pytest.mark.slow
 
 CALM, STRONG = 203, 214  # flights whose gusts bend the tips by 3 and by 22 mm rms
 WHITE = 9  # flight whose white gust bends them by 2 mm
+STILL = 2  # flight whose gusts bend by 2.5 mm rms the tips of an aircraft that itself does not move
 LIGHTLY_DAMPED = 417  # flight whose second mode, damped to 0.6 %, moves beside a first one of 13 mm rms
 TIPS = tuple(f"{tip}.{error}" for tip in ("left", "right") for error in ("kz", "mx", "mz"))
 A_FEW_CLIPPED, MANY_CLIPPED = 731, 718  # flights in `rough` whose tips reach 16 g in 0.2 and 17 % of their samples
@@ -61,6 +64,26 @@ def test_a_white_gust_is_no_misalignment_of_the_tips() -> None:
     judged = constants(state.tracker, flight.airframe, flight.real)
     over = {name: (estimate - true) / sigma for name, (estimate, sigma, true) in judged.items() if sigma > 0.0}
     assert max(abs(value) for name, value in over.items() if name in (*JUDGED, "shortening")) < 5.0, over
+
+
+def test_a_body_that_does_not_move_teaches_no_trim() -> None:
+    """Four sigmas; noise of the estimated roll acceleration in the derivatives gave 19 of the trim and 5 of ``mx``.
+
+    No load factor tells a lateral bias from a lift here, and 41 mm of trim move the tip inboard as much as it tilts.
+    """
+    row = CampaignRow("ideal", "nadir-2m", "6-axis")
+    airframe = row.belief()
+    trimmed = dataclasses.replace(airframe.wing, trim_bend_m=Uncertain(0.041, 0.0041))
+    airframe = dataclasses.replace(airframe, wing=trimmed)
+    level = FlightPlan(26.0, heave_wobble_mps2=0.0, roll_wobble_rad=0.0, pitch_wobble_rad=0.0, yaw_wobble_rad=0.0)
+    flight = build_flight(airframe, row.seed(STILL), plan=level)
+    state = start(flight.airframe, Settings())
+    for record in in_order(flight, []):
+        state, _ = step(state, record)
+    judged = constants(state.tracker, flight.airframe, flight.real)
+    over = {name: (judged[name][0] - judged[name][2]) / judged[name][1] for name in ("trim", "left.mx", "right.mx")}
+    assert judged["trim"][1] > 0.0003, judged["trim"]
+    assert max(abs(value) for value in over.values()) < 4.0, over
 
 
 def test_a_lightly_damped_second_mode_in_strong_gusts_is_no_propeller() -> None:

@@ -28,7 +28,6 @@ GATE_SIGMAS = 5.0  # convention: a Gaussian innovation lies beyond once in 1.7 m
 LOAD_VARIANCE_RATIO = 0.7  # chosen: variance of the wing's load per variance of a shaken root's vertical force
 MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
 MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below NIS_LIMIT over a second
-LEAST_SHORTENING = 0.1  # chosen: an estimate that runs away divides by no less; no wing's way inboard is ten times off
 STRUCK_SIGMAS = 3.0  # chosen: of both tips' vertical rows, beside a root whose motion makes up half of their variance
 _Array = TypeVar("_Array", bound=Any)
 _TRANSITIONS = 8  # derived: parameters change once a second, and a history holds little more than one second

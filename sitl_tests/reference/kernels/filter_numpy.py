@@ -13,7 +13,6 @@ from scipy.linalg import lapack
 
 from companion.core.kernels.arrays import (
     GATE_SIGMAS,
-    LEAST_SHORTENING,
     LOAD_FACTOR_TIME_S,
     LOAD_VARIANCE_RATIO,
     MAX_NOISE_INFLATION,
@@ -64,7 +63,6 @@ def _filter_step(
         filter_state.one_and_bias,
     )
     n = len(covariance)
-    const = const._replace(shortening_pm=const.shortening_pm * _shortening_factors(const, one_and_bias))
     _static_bend(const, state_and_sensitivity[n], epochs.load_g[k])
     history.state[slot], history.covariance[slot] = state_and_sensitivity[:n], covariance
     history.transition_index[slot], history.static_m[slot] = model.transition_index, state_and_sensitivity[n]
@@ -86,7 +84,7 @@ def _filter_step(
         / float(model.load_noise_in_rows[Z_LEFT, Z_LEFT]),
         MAX_NOISE_INFLATION,
     )
-    S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state)[np.ix_(used, used)]
+    S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state, one_and_bias)[np.ix_(used, used)]
     history.innovation[slot], history.innovation_covariance[slot] = 0.0, 0.0
     history.innovation[slot, used], history.innovation_covariance[slot][np.ix_(used, used)] = row_innovation, np.tril(S)
     cholesky = _cholesky(S)
@@ -100,7 +98,7 @@ def _filter_step(
             model, used, gated, row_innovation, predicted_variance, noise_inflation
         )
         gate_excess = _gate_excess(gated, row_innovation, predicted_variance)
-        S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state)[np.ix_(used, used)]
+        S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state, one_and_bias)[np.ix_(used, used)]
         cholesky = _robust_cholesky(S, row_innovation)
         if cholesky is None:
             return False
@@ -227,7 +225,7 @@ def _linearise(
     vertical_mps2, slope, rate = epochs.vertical_mps2[k], linearised[:2], linearised[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
-    tips = [_moving_tip(const, model, epochs, k, side, state) for side in (0, 1)]
+    tips = [_moving_tip(const, model, epochs, k, side, state, one_and_bias) for side in (0, 1)]
     force = np.array([tip.expected_mps2 for tip in tips])
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
         if column:  # of the lateral force the Jacobian has the rigid one: here is the rest
@@ -236,15 +234,11 @@ def _linearise(
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side, tip in enumerate(tips):
         residual_columns[Y_LEFT + side, 0] += tip.rest
-        by_further = tip.inboard - tip.inboard_by_lowest
-        for column, reading in (
-            (const.shortening_column, tip.inboard_by_lowest),
-            (const.further_shortening_column, by_further),
-        ):
+        columns = (const.shortening_column, const.further_shortening_column)
+        for column, per_error in zip(columns, tip.per_shortening, strict=True):
             if column:  # the rows have it at the estimate, and column 0 is that of no error
-                per_error = -reading / max(1.0 + one_and_bias[column], LEAST_SHORTENING)
-                residual_columns[Y_LEFT + side, column] += per_error
-                residual_columns[Y_LEFT + side, 0] -= per_error * one_and_bias[column]
+                residual_columns[Y_LEFT + side, column] -= per_error
+                residual_columns[Y_LEFT + side, 0] += per_error * one_and_bias[column]
         H[Y_LEFT + side] += tip.row
         for at, by_acceleration in zip((side, 1 - side), tip.by_acceleration, strict=True):
             if (bias := int(const.vertical_bias_state[at])) >= 0:
@@ -275,7 +269,7 @@ def _linearise(
 def _shortening_factors(const: FilterConstants, one_and_bias: Floats) -> Floats:
     """Estimated over believed way inboard by pairs of ranks, (r, r)."""
     lowest, further = (
-        max(1.0 + one_and_bias[column], LEAST_SHORTENING) if column else 1.0
+        1.0 + one_and_bias[column] if column else 1.0
         for column in (const.shortening_column, const.further_shortening_column)
     )
     factors = np.full(const.shortening_pm.shape[1:], further)
@@ -295,12 +289,11 @@ def _turn_squared(epochs: Epochs, k: int, p: float) -> float:
 
 
 class _MovingTip(NamedTuple):
-    """Slope by a lateral force of a tip's motion in the turning body: row (n + 1,), what that leaves, and one part."""
+    """Slope by a lateral force of a tip's motion in the turning body: row (n + 1,), what that leaves, derivatives."""
 
     row: Floats
     rest: float
-    inboard: float
-    inboard_by_lowest: float
+    per_shortening: tuple[float, float]
     variance_mps2_2: float
     blow_variance_mps2_2: float
     per_measured: float
@@ -311,12 +304,12 @@ class _MovingTip(NamedTuple):
 
 
 def _moving_tip(
-    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats, one_and_bias: Floats
 ) -> _MovingTip:
     """``2 p w' + (p' - q r) w - d2/dt2 (w K w) / 2`` of the ranks' lifts w, linear in what the state has of it.
 
-    The derivative by a lift has the root's ``p'`` of some epochs before: the state's, estimated from the same tips,
-    goes with the error of ``p' w``.
+    Derivatives have the root's ``p'`` of some epochs before, and accelerations found with it: the state's ``p'``,
+    estimated from the same tips, is noisy, and its error is in the rows.
     """
     ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
     lift_rows, rate_rows, accel_rows = np.stack(
@@ -325,15 +318,19 @@ def _moving_tip(
     p_row, a_row = model.linearisation_rows[4:6]
     lift, rate, accel = np.stack([linearised[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1)
     p, p_dot = float(linearised[4]), float(linearised[5])
-    K = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
+    believed = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
+    factors = _shortening_factors(const, one_and_bias)
+    K = believed * factors
     slope = float(linearised[side])
     by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
     turning = p_dot + by_gyros
-    shortening, step_s = const.shortening_pm[side], const.step_s
+    shortening, step_s = const.shortening_pm[side] * factors, const.step_s
     expected = 2.0 * p * rate.sum() + turning * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
     of_this, of_other, covariance = _rank_shares(model, epochs.present[k, Z_LEFT : Z_LEFT + 2], side)
     beyond = [_beyond_expected(const, model, epochs, k, tip, state) for tip in (side, 1 - side)]
     accel = accel + of_this * beyond[0] + of_other * beyond[1]
+    lever_m = of_this * float(const.lever_m[side]) + of_other * float(const.lever_m[1 - side])
+    instruments = accel + lever_m * (float(epochs.earlier_roll_radps2[k]) - p_dot)
     inside_mps = -step_s * (of_this * epochs.rows[k, M_LEFT + side] + of_other * epochs.rows[k, M_LEFT + 1 - side])
     rate = rate + 0.5 * step_s * accel - inside_mps
     inside = K @ inside_mps
@@ -341,7 +338,8 @@ def _moving_tip(
     mean_lift = lift + quarter_s2 * accel - 0.5 * step_s * inside_mps
     by_lift, by_rate = K @ accel, K @ rate
     along = mean_lift @ K @ accel + rate @ K @ rate + rate @ inside
-    by_lowest = float(K[0, 0] * (mean_lift[0] * accel[0] + (rate[0] + inside_mps[0]) * rate[0]))
+    inward = np.outer(mean_lift, instruments) + np.outer(rate, rate + inside_mps)
+    by_lowest, by_all = float(believed[0, 0] * inward[0, 0]), float(np.sum(believed * inward))
     half_a_step = 0.0 if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
     per_accel = step_s * (half_a_step - by_rate) - lift @ K
     apart = per_accel - of_this @ per_accel
@@ -350,7 +348,7 @@ def _moving_tip(
     sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
     along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    row = (epochs.earlier_roll_radps2[k] + by_gyros - K @ accel) @ lift_rows
+    row = (epochs.earlier_roll_radps2[k] + by_gyros - K @ instruments) @ lift_rows
     row = row + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
     row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
@@ -364,8 +362,7 @@ def _moving_tip(
     return _MovingTip(
         gain * row,
         math.atan(lean) - read + gain * float(row @ state),
-        -gain * along,
-        -gain * by_lowest,
+        (-gain * by_lowest, -gain * (by_all - by_lowest)),
         variance,
         blow_variance,
         per_measured + per_other,
@@ -407,7 +404,13 @@ def _select_rows(model: DiscreteModel, epochs: Epochs, k: int) -> Ints:
 
 
 def _measurement_noise(
-    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, noise_inflation: float, state: Floats
+    const: FilterConstants,
+    model: DiscreteModel,
+    epochs: Epochs,
+    k: int,
+    noise_inflation: float,
+    state: Floats,
+    one_and_bias: Floats,
 ) -> Floats:
     """Covariance (9, 9) of the rows by inflated process noise, sensors, aliasing and root motion."""
     out = model.process_noise_in_rows + (noise_inflation - 1.0) * model.load_noise_in_rows
@@ -416,7 +419,7 @@ def _measurement_noise(
         epochs.lateral_gain[k],
         epochs.root_motion_variance[k],
     )
-    tips = [_moving_tip(const, model, epochs, k, side, state) for side in (0, 1)]
+    tips = [_moving_tip(const, model, epochs, k, side, state, one_and_bias) for side in (0, 1)]
     moving = np.array([tip.variance_mps2_2 + (noise_inflation - 1.0) * tip.blow_variance_mps2_2 for tip in tips])
     moving += np.array([tip.per_measured for tip in tips]) ** 2 * root_motion_variance[0]
     variance[Y_LEFT:P_LEFT] = (variance[Y_LEFT:P_LEFT] + moving) * gain**2
