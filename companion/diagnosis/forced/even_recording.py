@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import medfilt
 
+from companion.diagnosis.clipping import is_clipped
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
@@ -17,7 +18,6 @@ _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
 _SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median; median steps from it, beyond which a sample is wild
 _AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
-_PILED = 0.005  # share of samples at the largest or smallest value, from which they are clipped (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +58,9 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
     if gaps.size:
         longest_s = float(step[gaps].max())
         notes.append(f"{name}: {gaps.size} gaps, the longest {longest_s:.3g} s: segments with a gap are left out")
-    if max(np.mean(response == response.max()), np.mean(response == response.min())) > _PILED:
-        notes.append(f"{name}: the response piles up at its largest value: it is clipped, which looks like a law")
+    if is_clipped(response):
+        text = "the response piles up at its largest or smallest value: it is clipped, which looks like a law"
+        notes.append(f"{name}: {text}")
     straight = lost | bool(ratio.min() < _CROWDED)
     push, answer = (
         np.where(straight, np.interp(even_s, at_s, values), CubicSpline(at_s, values)(even_s))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import medfilt
 
+from companion.diagnosis.clipping import is_clipped
 from companion.errors import RecordingError
 from companion.records import Floats
 
@@ -23,8 +24,6 @@ _STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycl
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
-_PILED = 0.005  # share of samples at the largest or smallest value, from which they may be clipped (choice)
-_STEEP = 6.0  # chosen: times the samples of the next value; of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4
 _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked for (choice)
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
@@ -72,9 +71,9 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
         Fewer periods than three windows have, a response is clipped, or a stronger limit cycle lies above the band.
     """
     for name, values in raw.responses.items():
-        if _clipped(values):
+        if is_clipped(values):
             raise RecordingError(
-                f"{raw.name}: {name} piles up at its largest value: it is clipped, so that its amplitude is not known"
+                f"{raw.name}: {name} piles up at its largest or smallest value: it is clipped, its amplitude unknown"
             )
     rate_hz = (len(raw.t_s) - 1) / float(raw.t_s[-1] - raw.t_s[0])
     even_s = raw.t_s[0] + np.arange(len(raw.t_s)) / rate_hz
@@ -138,21 +137,6 @@ def _cycles(values: Floats, rate_hz: float, centre_hz: float) -> bool:
     at = np.arange(2 * period, len(values) - 2 * period, _WINDOW * period)
     amplitude = np.abs(_envelope(values, centre_hz / rate_hz, period))[at]
     return bool(_steady(amplitude, _LEAST_CYCLES // _WINDOW).any())
-
-
-def _clipped(values: Floats) -> bool:
-    """Whether samples (n,) pile up at an end again and again, beyond what coarse steps make of a sine.
-
-    One pile alone, the longest, may be a pull that was held before it was let go.
-    """
-    levels, counts = np.unique(values, return_counts=True)
-    for end, following in ((levels[0], counts[1:2]), (levels[-1], counts[-2:-1])):
-        turns = np.diff(values == end, prepend=False, append=False)
-        piles = np.diff(np.flatnonzero(turns))[::2]
-        piles = piles[piles > 1]  # single samples that are alike are those of a sine without noise
-        if piles.sum() - piles.max(initial=0) > max(_PILED * len(values), _STEEP * following.sum()):
-            return True
-    return False
 
 
 def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[float, float, float]:
