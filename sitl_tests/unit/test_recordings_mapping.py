@@ -73,6 +73,9 @@ def test_decimal_commas_are_read(tmp_path: Path) -> None:
     thousands = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n1.000\ty\t1\n")
     with pytest.raises(TableError, match=r"line 6: column 'Time': '1\.000' has a point, but decimals follow a comma"):
         read_mapped(thousands, parse_mapping(COMMAS, "lab.toml"))
+    mistyped = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n1\ty\t2,5V\n")
+    with pytest.raises(TableError, match=r"line 6: column 'Acc L' .*: '2,5V' is not a number"):
+        read_mapped(mistyped, parse_mapping(COMMAS, "lab.toml"))
     with pytest.raises(ConfigError, match=r"'table\.decimal' is the delimiter, too"):
         parse_mapping(COMMAS.replace('"tab"', '"comma"'), "lab.toml")
 

@@ -125,17 +125,19 @@ def _cell_by_cell(
             cell = cells[index].strip()
             if layout.decimal != "." and "." in cell:
                 raise TableError(path, number, f"column '{name}': '{cell}' has a point, but decimals follow a comma")
-            row.append(_number(path, number, columns[name], cell.replace(layout.decimal, "."), may_be_missing))
+            row.append(_number(path, number, columns[name], cell, layout.decimal, may_be_missing))
         rows.append(row)
     return np.array(rows)
 
 
-def _number(path: Path, line: int, column: ColumnMapping, cell: str, may_be_missing: frozenset[str]) -> float:
+def _number(
+    path: Path, line: int, column: ColumnMapping, cell: str, decimal: str, may_be_missing: frozenset[str]
+) -> float:
     lenient = column.channel in may_be_missing
     what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
     if lenient and not cell:
         return math.nan
-    value = cell_number(path, line, what, cell)
+    value = cell_number(path, line, what, cell, decimal)
     if not lenient and not math.isfinite(value):
         raise not_finite(path, line, what, cell)
     return value

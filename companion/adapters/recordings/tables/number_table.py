@@ -106,12 +106,12 @@ def _find_bad_cell(path: Path, header: list[str], may_be_infinite: frozenset[str
                     raise not_finite(path, number, f"column '{name}'", cell.strip())
 
 
-def cell_number(path: Path, line: int, column: str, cell: str) -> float:
+def cell_number(path: Path, line: int, column: str, cell: str, decimal: str = ".") -> float:
     """The number in a cell, finite or not; raise :class:`TableError`, which begins with ``column``, for none."""
     if not cell:
         raise TableError(path, line, f"{column} is empty; leave the whole row out where a sample is missing")
     try:
-        return float(cell)
+        return float(cell.replace(decimal, "."))
     except ValueError:
         raise TableError(path, line, f"{column}: '{cell[:40]}' is not a number") from None
 
