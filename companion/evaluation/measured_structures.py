@@ -12,9 +12,9 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
-from companion.diagnosis.forced.force_delay import DEFLECTION, KINDS
 from companion.diagnosis.forced.json_report import as_json as forced_json
 from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
+from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decays
@@ -199,8 +199,7 @@ def _forced(
         _rate_hz(table, _band(mapping))
         _varying(table, [*forces, *answers])
         force, answer = table.channels[forces[0]], table.channels[answers[0]]
-        unit = answers[0].rpartition("_")[2]
-        kind = next((kind for kind, (_, ends) in KINDS.items() if ends == unit), DEFLECTION)
+        kind = ResponseKind.of_channel(answers[0])
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer, kind))
     plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
     return plain, lambda: findings_page(plain, mapping.description)

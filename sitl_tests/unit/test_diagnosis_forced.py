@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
-from companion.diagnosis.forced.force_delay import ACCELERATION, DEFLECTION, SPEED
 from companion.diagnosis.forced.json_report import as_json
 from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
+from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
 from companion.records import Floats
 
@@ -162,8 +162,22 @@ def test_a_force_that_comes_late_is_turned_back(hardening: ForcedRecording, rows
     assert f"{abs(rows):.2f} rows" in note
 
 
-@pytest.mark.parametrize(("kind", "unit"), [(SPEED, "mps"), (ACCELERATION, "mps2")])
-def test_a_speed_or_an_acceleration_is_integrated_and_never_passes_for_a_deflection(kind: int, unit: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("response_tip_m", ResponseKind.DISPLACEMENT),
+        ("response_tip", ResponseKind.DISPLACEMENT),
+        ("response_tip_v", ResponseKind.DISPLACEMENT),
+        ("response_tip_mps", ResponseKind.VELOCITY),
+        ("response_tip_mps2", ResponseKind.ACCELERATION),
+    ],
+)
+def test_the_unit_of_a_channel_says_its_kind(name: str, kind: ResponseKind) -> None:
+    assert ResponseKind.of_channel(name) is kind
+
+
+@pytest.mark.parametrize("kind", [ResponseKind.VELOCITY, ResponseKind.ACCELERATION])
+def test_a_velocity_or_an_acceleration_is_integrated_and_never_passes_for_a_displacement(kind: ResponseKind) -> None:
     entry = driven(2, 0.0, noise=0.0)
     turn = 2j * np.pi * np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
     moved = np.fft.irfft(np.fft.rfft(entry.response) * turn**kind, COUNT)
@@ -173,8 +187,10 @@ def test_a_speed_or_an_acceleration_is_integrated_and_never_passes_for_a_deflect
     assert plain["verdict"] == "adequate"
     assert plain["linear"]["before"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
     assert plain["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.01)
-    with pytest.raises(RecordingError, match=f"name its channel response_<what>_{unit}"):
-        diagnose_forced([dataclasses.replace(spoken, kind=DEFLECTION)], BAND_HZ, 3, lambda _what, _ratio: None)
+    unnamed = dataclasses.replace(spoken, kind=ResponseKind.DISPLACEMENT)
+    text = f"called a displacement and fits as {kind}: .* name its channel response_<what>_{kind.unit}$"
+    with pytest.raises(RecordingError, match=text):
+        diagnose_forced([unnamed], BAND_HZ, 3, lambda _what, _ratio: None)
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.05])
@@ -209,9 +225,9 @@ def test_a_response_that_is_cut_off_above_the_band_does_not_show_its_noise_there
 def test_an_acceleration_whose_integral_is_noise_is_refused(swept: ForcedRecording) -> None:
     """A cube of 2.4 instead of 4 was explained: noise from 2.5 Hz on was a third of the deflection."""
     turn = 2j * np.pi * np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
-    moved = np.fft.irfft(np.fft.rfft(swept.response) * turn**ACCELERATION, COUNT)
+    moved = np.fft.irfft(np.fft.rfft(swept.response) * turn**ResponseKind.ACCELERATION, COUNT)
     noise = moved.std() * np.random.default_rng(6).standard_normal(COUNT)
-    noisy = dataclasses.replace(swept, response=moved + 0.01 * noise, kind=ACCELERATION)
+    noisy = dataclasses.replace(swept, response=moved + 0.01 * noise, kind=ResponseKind.ACCELERATION)
     with pytest.raises(RecordingError, match=r"^3\d % of the deflection .* band_hz, 5 to 190 Hz, begin and end"):
         diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None)
     calm = dataclasses.replace(noisy, response=moved + 0.003 * noise)

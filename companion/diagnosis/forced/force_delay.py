@@ -1,8 +1,7 @@
-"""Delay of a force behind the response, and which derivative of the deflection the response is.
+"""Delay of a force behind the response.
 
-A channel that is called a deflection and is an acceleration, or a force that left another filter than the response,
-makes every coefficient wrong. Both show without a law: the error of the force falls where the equation is written for
-what was recorded. A delay tau turns the force by omega tau at all frequencies, which no mass, damper or spring does.
+A force that left another filter than the response makes every coefficient wrong. A delay tau turns the phase of the
+force by omega tau at all frequencies, which no mass, damper or spring does.
 """
 
 from __future__ import annotations
@@ -13,15 +12,8 @@ import numpy.typing as npt
 from companion.records import Floats
 
 Spectra = npt.NDArray[np.complex128]
-DEFLECTION = 0  # by definition: derivatives from the deflection to the response
-SPEED = 1  # by definition, as before
-ACCELERATION = 2  # by definition, as before
-KINDS = {DEFLECTION: ("a deflection", "m"), SPEED: ("a speed", "mps"), ACCELERATION: ("an acceleration", "mps2")}
-"""In words, and the unit at the end of a channel's name that says so."""
 _MOST = 8.0  # steps of a sample, that a delay is sought within (choice)
 _COARSE, _FINE = 0.5, 0.05  # steps of the search, samples (choice)
-_CLEARER = 0.5  # of the stated kind's error: another kind with less is what was recorded (choice)
-_POOR = 0.3  # of the force, from which the error of the stated kind is doubted (choice)
 
 
 def error_ratio(force: Spectra, columns: Spectra, omega: Floats, delay_s: float) -> float:
@@ -41,13 +33,6 @@ def least_error(force: Spectra, columns: Spectra, omega: Floats, step_s: float) 
             delay_s = about + away * step_s
             best = min(best, (delay_s, error_ratio(force, columns, omega, delay_s)), key=lambda pair: pair[1])
     return best
-
-
-def another_kind(stated: int, errors: dict[int, float]) -> int | None:
-    """The kind of response that the error ratios (kind to ratio) name instead of the stated one, None: as stated."""
-    kind = min(errors, key=lambda entry: errors[entry])
-    clearer = errors[stated] > _POOR and errors[kind] < _CLEARER * errors[stated]
-    return kind if clearer else None
 
 
 def real_rows(values: Spectra) -> Floats:

@@ -25,8 +25,9 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.even_recording import EvenRecording, evenly
-from companion.diagnosis.forced.force_delay import DEFLECTION, KINDS, Spectra, another_kind, least_error, real_rows
+from companion.diagnosis.forced.force_delay import Spectra, least_error, real_rows
 from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
+from companion.diagnosis.forced.response_kind import ResponseKind, another_kind
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Cause, Progress
 from companion.diagnosis.selection.regression import (
@@ -73,13 +74,13 @@ def _slopes(q: Floats, v: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ForcedRecording:
-    """One recording: ``t_s``, ``force`` and ``response`` (n,); ``kind`` is one of :data:`.force_delay.KINDS`."""
+    """One recording: ``t_s``, ``force`` and ``response`` (n,), in any unit."""
 
     name: str
     t_s: Floats
     force: Floats
     response: Floats
-    kind: int = DEFLECTION
+    kind: ResponseKind = ResponseKind.DISPLACEMENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +195,7 @@ def _rows(
     recordings: Sequence[ForcedRecording],
     grids: Sequence[EvenRecording],
     band_hz: tuple[float, float],
-    kind: int | None = None,
+    kind: ResponseKind | None = None,
 ) -> _Rows:
     """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
     pieces = max(_SEGMENTS // len(recordings), 2)
@@ -251,16 +252,16 @@ def _aligned(
     """
     start_s, error = least_error(rows.table[0], rows.table[1:], rows.omega, step_s)
     stated = recordings[0].kind
-    if any(entry.kind != stated for entry in recordings):
+    if any(entry.kind is not stated for entry in recordings):
         return start_s
-    others = {kind: _rows(recordings, grids, band_hz, kind) for kind in KINDS if kind != stated}
+    others = {kind: _rows(recordings, grids, band_hz, kind) for kind in ResponseKind if kind is not stated}
     errors = {kind: least_error(each.table[0], each.table[1:], each.omega, step_s)[1] for kind, each in others.items()}
     other = another_kind(stated, {stated: error, **errors})
     if other is not None:
-        (said, _), (fits, unit) = KINDS[stated], KINDS[other]
         raise RecordingError(
-            f"the response is called {said} and fits as {fits}: the force is then told to "
-            f"{100.0 * errors[other]:.0f} instead of {100.0 * error:.0f} %; name its channel response_<what>_{unit}"
+            f"the response is called {stated} and fits as {other}: the error of the force is then "
+            f"{100.0 * errors[other]:.0f} instead of {100.0 * error:.0f} %; "
+            f"name its channel response_<what>_{other.unit}"
         )
     return start_s
 
@@ -292,7 +293,7 @@ def _weighted(rows: _Rows, delay_s: float) -> tuple[Floats, Floats, Floats, Floa
     return columns, scale, *_weight(rows, force, columns, scale)
 
 
-def _series(even: EvenRecording, band_hz: tuple[float, float], kind: int) -> list[Floats]:
+def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
     """Force, acceleration, speed, deflection and laws over time, (n,) each.
 
     A speed or acceleration is integrated above half of the band's lower edge.
@@ -310,7 +311,12 @@ def _series(even: EvenRecording, band_hz: tuple[float, float], kind: int) -> lis
 
 
 def _segments(
-    name: str, even: EvenRecording, series: Sequence[Floats], kind: int, band_hz: tuple[float, float], pieces: int
+    name: str,
+    even: EvenRecording,
+    series: Sequence[Floats],
+    kind: ResponseKind,
+    band_hz: tuple[float, float],
+    pieces: int,
 ) -> list[tuple[Spectra, Floats, float]]:
     """All series (s, f) of each segment without a gap in the driven bins of the band, omega (f,), deflection's power.
 
