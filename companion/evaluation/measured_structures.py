@@ -12,8 +12,9 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
+from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json as forced_json
-from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
+from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare

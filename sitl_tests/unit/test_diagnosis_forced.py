@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
+from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json
-from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
+from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
 from companion.records import Floats

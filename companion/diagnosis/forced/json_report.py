@@ -7,7 +7,8 @@ from typing import Any
 
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
-from companion.diagnosis.forced.recordings import LAWS, ForcedDiagnosis
+from companion.diagnosis.forced.equation_rows import LAWS
+from companion.diagnosis.forced.recordings import ForcedDiagnosis
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause

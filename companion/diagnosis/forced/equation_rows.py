@@ -1,0 +1,187 @@
+"""Rows of the equation of motion: force, derivatives and laws of all segments at the frequencies that count."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
+from companion.diagnosis.forced.even_recording import EvenRecording
+from companion.diagnosis.forced.force_delay import Spectra
+from companion.diagnosis.forced.response_kind import ResponseKind
+from companion.errors import RecordingError
+from companion.records import Bools, Floats
+
+_SEGMENTS = 10  # of all recordings together, held out one by one (choice)
+_LEAST_BINS = 8  # chosen: bins of the band in a segment, more than the parameters of a mode
+_EDGE = 0.02  # of a recording, left out at either end (choice)
+_FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
+_LEAST_SPREAD = 1.0  # chosen, bins rms: a tone in a Hann taper has 0.33 to 0.5
+_SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
+_DRIVEN = 0.01  # of the segment's largest power of the force, from which a bin is driven (choice)
+_ANSWERED = 100.0  # chosen, times the response's least power in the band: from there a bin is known in spite of noise
+_MOST_NOISE = 0.05  # chosen, of an integrated deflection's power: a cube came out 31 % too small at 0.14, 3 % at 0.02
+LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
+    CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
+    QuadraticStiffness.name: ("per squared deflection", lambda q, _v: q**2),
+    QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
+    CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ForcedRecording:
+    """One recording: ``t_s``, ``force`` and ``response`` (n,), in any unit."""
+
+    name: str
+    t_s: Floats
+    force: Floats
+    response: Floats
+    kind: ResponseKind = ResponseKind.DISPLACEMENT
+
+
+@dataclass(frozen=True, slots=True)
+class EquationRows:
+    """Bins (n,) of all segments: ``table`` (s, n) is force, m, c and k's columns and the laws', ``block`` the segment.
+
+    ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time, and ``power`` is the
+    deflection's at all frequencies, of which the bins have a part.
+    """
+
+    table: Spectra
+    omega: Floats
+    kind: Floats
+    block: Floats
+    motions: Floats
+    power: float
+
+    @property
+    def slopes(self) -> Floats:
+        """Slopes of the laws over deflection and speed, (2, laws, samples); of a sign the nearest line's."""
+        q, v = self.motions
+        none, jump = np.zeros_like(q), math.sqrt(2.0 / math.pi) / float(v.std())
+        return np.stack([[3.0 * q**2, 2.0 * q, none, none], [none, none, 2.0 * np.abs(v), np.full_like(q, jump)]])
+
+
+def equation_rows(
+    recordings: Sequence[ForcedRecording],
+    grids: Sequence[EvenRecording],
+    band_hz: tuple[float, float],
+    kind: ResponseKind | None = None,
+) -> EquationRows:
+    """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
+    pieces = max(_SEGMENTS // len(recordings), 2)
+    tables, omegas, kinds, blocks, motions, power = [], [], [], [], [], 0.0
+    for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
+        taken = entry.kind if kind is None else kind
+        series = _series(even, band_hz, taken)
+        motions.append(np.stack([series[3], series[2]]))
+        for i, (table, omega, of_deflection) in enumerate(_segments(entry.name, even, series, taken, band_hz, pieces)):
+            tables.append(table)
+            omegas.append(omega)
+            power += of_deflection
+            kinds.append(np.full(len(omega), float(taken)))
+            blocks.append(np.full(len(omega), float(k * pieces + i)))
+    if not tables:
+        raise RecordingError("no segment without a gap: record without losses")
+    table, omega, kinds_of, block, motion = (
+        np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)
+    )
+    _check_spread(np.abs(table[0]) ** 2, omega, max(float(np.min(np.diff(each), initial=np.inf)) for each in omegas))
+    return EquationRows(table, omega, kinds_of, block, motion, power)
+
+
+def refuse_integrated_noise(rows: EquationRows, band_hz: tuple[float, float]) -> None:
+    """Noise of a speed or an acceleration grows towards low frequencies by integration, and laws take it for motion.
+
+    Raises
+    ------
+    RecordingError
+        Much of the deflection lies in bins that do not count.
+    """
+    noise_ratio = 1.0 - float(np.sum(np.abs(rows.table[3]) ** 2)) / rows.power
+    if rows.kind.any() and noise_ratio > _MOST_NOISE:
+        raise RecordingError(
+            f"{100.0 * noise_ratio:.0f} % of the deflection that was integrated from the response are at frequencies "
+            f"of no force, as noise is: let band_hz, {band_hz[0]:g} to {band_hz[1]:g} Hz, begin and end where the "
+            "force does"
+        )
+
+
+def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
+    """Force, acceleration, speed, deflection and laws over time, (n,) each.
+
+    A speed or acceleration is integrated above half of the band's lower edge.
+    """
+    count = len(even.force)
+    f_hz = np.fft.rfftfreq(count, 1.0 / even.rate_hz)
+    turn = 2j * np.pi * f_hz
+    least_hz = 0.5 * band_hz[0] if kind else 0.0
+    measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
+    spectrum = np.where(measured, np.fft.rfft(even.response), 0.0) / np.where(measured & (kind > 0), turn, 1.0) ** kind
+    deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
+    fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
+    laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
+    return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
+
+
+def _segments(
+    name: str,
+    even: EvenRecording,
+    series: Sequence[Floats],
+    kind: ResponseKind,
+    band_hz: tuple[float, float],
+    pieces: int,
+) -> list[tuple[Spectra, Floats, float]]:
+    """All series (s, f) of each segment without a gap in the driven bins of the band, omega (f,), deflection's power.
+
+    The power is that at all frequencies.
+    """
+    segments, count = [], len(series[0])
+    edge = int(_EDGE * count)  # there a transform of what is not periodic rings
+    for index in np.array_split(np.arange(edge, count - edge), pieces):
+        part_hz = np.fft.rfftfreq(len(index), 1.0 / even.rate_hz)
+        inside = (part_hz > band_hz[0]) & (part_hz < band_hz[1])
+        if inside.sum() < _LEAST_BINS:
+            raise RecordingError(f"{name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
+        if even.lost[index].any():
+            continue
+        taper = np.hanning(len(index))
+        spectra = np.stack([np.fft.rfft(taper * values[index]) / np.sqrt(len(index)) for values in series])
+        inside &= _driven(spectra[0], inside) | _answered(spectra[3 - kind], inside)
+        power = float(np.sum(np.abs(spectra[3]) ** 2))
+        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside]), power))
+    return segments
+
+
+def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:
+    """Refuse a force of one frequency: of its power (n,) at omega (n,), rad/s, nothing tells a mass from a spring."""
+    middle = float(power @ omega / power.sum())
+    if float(power @ (omega - middle) ** 2 / power.sum()) < (_LEAST_SPREAD * bin_radps) ** 2:
+        raise RecordingError(
+            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass cannot be told "
+            "from a spring: drive with noise, a sweep, or one frequency after the other"
+        )
+
+
+def _driven(force: Spectra, inside: Bools) -> Bools:
+    """Bins (f,) with force: rows of nothing but the response's noise would draw all coefficients to 0."""
+    power = uniform_filter1d(np.abs(force) ** 2, _SMOOTHED)
+    return np.asarray(power > _DRIVEN * float(power[inside].max()))
+
+
+def _answered(response: Spectra, inside: Bools) -> Bools:
+    """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws.
+
+    The response is what was recorded, whose noise is alike at all frequencies, and its noise is its least in the band:
+    above, it is cut off.
+    """
+    power = uniform_filter1d(np.abs(response) ** 2, _SMOOTHED)
+    return np.asarray(power > _ANSWERED * float(power[inside].min()))
