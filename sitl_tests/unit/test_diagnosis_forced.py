@@ -13,6 +13,7 @@ import pytest
 from companion.cli.main import main
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json
+from companion.diagnosis.forced.noise_bias import NoiseShare
 from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
@@ -205,6 +206,25 @@ def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float) -> No
     coefficient = plain["causes"][0]["parameters"]["coefficient"]
     assert abs(coefficient["value"] - 4.0) < 4.0 * coefficient["sigma"]
     assert coefficient["value"] == pytest.approx(4.0, rel=0.03)
+
+
+@pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (0.3, True)])
+def test_a_bias_that_is_too_large_to_be_taken_off_is_noted(ratio: float, noted: bool) -> None:
+    """A stiffness of 0.3 instead of 1 came out as adequate, without a word."""
+    entry = driven(1, 0.0)
+    noise = ratio * entry.response.std() * np.random.default_rng(8).standard_normal(COUNT)
+    noisy = dataclasses.replace(entry, response=entry.response + noise)
+    plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert any("draws the coefficients to 0" in note for note in plain["notes"]) == noted
+    assert (plain["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.01)) == (not noted)
+
+
+@pytest.mark.parametrize(("added", "moved"), [(0.4, 1.0 / 0.6 - 1.0), (0.6, 0.0)])
+def test_the_noise_of_one_column_shifts_its_coefficient_up_to_half(added: float, moved: float) -> None:
+    """(A - B) theta = A theta_LS with A = 1 and theta_LS = 1."""
+    biased = NoiseShare(("stiffness", "unused"), np.array([[0.6, 0.8], [1.0, 0.0]]), np.diag([added, 0.0]))
+    assert biased.ratio(["stiffness"], 0.0) == pytest.approx(added)
+    assert biased.shift(["stiffness"], np.array([1.0]), 0.0) == pytest.approx({"stiffness": moved})
 
 
 @pytest.fixture(scope="module")

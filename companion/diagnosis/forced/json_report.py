@@ -8,6 +8,7 @@ from typing import Any
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.equation_rows import LAWS
+from companion.diagnosis.forced.noise_bias import MOST_NOISE
 from companion.diagnosis.forced.recordings import ForcedDiagnosis
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
@@ -44,6 +45,7 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
         "notes": [
             *diagnosis.notes,
             *_zero(diagnosis),
+            *_bias(diagnosis),
             *(f"{name} comes out negative: {_ACTIVE}" for name in diagnosis.negative()),
         ],
     }
@@ -74,6 +76,17 @@ def _zero(diagnosis: ForcedDiagnosis) -> list[str]:
     return [
         f"cubic and quadratic stiffness together are one cubic spring about a response of {zero:.4g} from the "
         f"recording's own zero, with a stiffness of {stiffness - square**2 / (3.0 * cubic):.5g} there"
+    ]
+
+
+def _bias(diagnosis: ForcedDiagnosis) -> list[str]:
+    """Where the response's noise is too large for its bias to be taken off."""
+    ratio = diagnosis.noise_ratio()
+    if ratio <= MOST_NOISE:
+        return []
+    return [
+        f"the response's noise draws the coefficients to 0, by a bias too large to be taken off: it is {ratio:.2f} of "
+        f"the normal matrix, {MOST_NOISE:g} at most; drive harder, or narrow band_hz"
     ]
 
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from companion.records import Floats
 
-_MOST = 0.5  # share of the normal matrix that may be noise: beyond, its first order is none (choice)
+MOST_NOISE = 0.5
+"""Share of the normal matrix that may be noise (choice): beyond, the coefficients are left as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,17 +33,28 @@ class NoiseShare:
     white: Floats
     added: Floats
 
+    def ratio(self, keys: Sequence[str], log_noise: float) -> float:
+        """Largest share of the normal matrix that is noise, of all combinations of the parameters among ``keys``."""
+        _, normal, added = self._matrices(keys, log_noise)
+        return float(np.linalg.eigvals(np.linalg.solve(normal, added)).real.max())
+
     def shift(self, keys: Sequence[str], values: Floats, log_noise: float) -> dict[str, float]:
-        """Difference from each fitted value: ``keys`` and ``values`` (p,) are a fit's, its noise e^log_noise."""
-        used = [i for i, name in enumerate(self.names) if name in keys]
-        theta = np.array([values[list(keys).index(self.names[i])] for i in used])
-        normal = np.exp(-2.0 * log_noise) * (self.white[used] @ self.white[used].T)
-        added = self.added[np.ix_(used, used)]
-        noisy = np.linalg.eigvals(np.linalg.solve(normal, added)).real.max()
-        if noisy > _MOST:
-            return dict.fromkeys((self.names[i] for i in used), 0.0)
+        """Difference from each fitted value: ``keys`` and ``values`` (p,) are a fit's, its noise e^log_noise.
+
+        It is 0 where the ratio exceeds :data:`MOST_NOISE`.
+        """
+        used, normal, added = self._matrices(keys, log_noise)
+        if self.ratio(keys, log_noise) > MOST_NOISE:
+            return dict.fromkeys(used, 0.0)
+        theta = np.array([values[list(keys).index(name)] for name in used])
         moved = np.linalg.solve(normal - added, normal @ theta) - theta
-        return dict(zip((self.names[i] for i in used), moved.tolist(), strict=True))
+        return dict(zip(used, moved.tolist(), strict=True))
+
+    def _matrices(self, keys: Sequence[str], log_noise: float) -> tuple[list[str], Floats, Floats]:
+        """Names of the parameters among ``keys``, with A and B of their columns."""
+        used = [i for i, name in enumerate(self.names) if name in keys]
+        normal = np.exp(-2.0 * log_noise) * (self.white[used] @ self.white[used].T)
+        return [self.names[i] for i in used], normal, self.added[np.ix_(used, used)]
 
 
 def added_by_noise(omega: Floats, kind: Floats, slopes: Floats, row_variance: Floats, scale: Floats) -> Floats:

@@ -74,8 +74,13 @@ class ForcedDiagnosis:
         unit = float(self.scale[3 + list(LAWS).index(name)])
         return (cause.values[0] + self._shift(self.outcome.final)[name]) / unit, cause.sigmas[0] / unit
 
+    def noise_ratio(self) -> float:
+        """Largest share of the normal matrix of either model that the response's noise makes."""
+        fits = (self.outcome.null, self.outcome.final)
+        return max(self.noise.ratio(fitted.keys, _log_noise(fitted)) for fitted in fits)
+
     def _shift(self, fitted: RegressionFit) -> dict[str, float]:
-        return self.noise.shift(fitted.keys, fitted.values, fitted.value(f"noise 0 of {FORCE}")[0])
+        return self.noise.shift(fitted.keys, fitted.values, _log_noise(fitted))
 
     def negative(self) -> list[str]:
         """Which of mass, damping and stiffness lie below 0 beyond chance."""
@@ -84,6 +89,10 @@ class ForcedDiagnosis:
 
 
 _LINEAR = ("mass", "damping", "stiffness")
+
+
+def _log_noise(fitted: RegressionFit) -> float:
+    return fitted.value(f"noise 0 of {FORCE}")[0]
 
 
 def diagnose_forced(
