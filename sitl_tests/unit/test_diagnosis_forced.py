@@ -178,6 +178,13 @@ def test_the_unit_of_a_channel_says_its_kind(name: str, kind: ResponseKind) -> N
     assert ResponseKind.of_channel(name) is kind
 
 
+def test_recordings_of_different_rates_are_refused_with_their_rates(hardening: ForcedRecording) -> None:
+    """The step of the first stood for all: the delay of a force was sought within its rows."""
+    slower = dataclasses.replace(hardening, name="slower", t_s=1.25 * hardening.t_s)
+    with pytest.raises(RecordingError, match=r"differ in rate: run1 610 Hz, slower 488 Hz; diagnose those of one rate"):
+        diagnose_forced([hardening, slower], BAND_HZ, 3, lambda _what, _ratio: None)
+
+
 @pytest.mark.parametrize("kind", [ResponseKind.VELOCITY, ResponseKind.ACCELERATION])
 def test_a_velocity_or_an_acceleration_is_integrated_and_never_passes_for_a_displacement(kind: ResponseKind) -> None:
     entry = driven(2, 0.0, noise=0.0)

@@ -48,6 +48,7 @@ _FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over t
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
 _DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln 33 for the places where it is sought
 _DELAY = "delay of the force"
+_SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows of the longest delay (choice)
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 
@@ -103,12 +104,13 @@ def diagnose_forced(
     Raises
     ------
     RecordingError
-        A segment holds too few frequencies of the band, each has a gap, most rows are lost, the response is another
-        derivative of the deflection than it says, its integral is noise, or force and response have opposite signs.
+        Recordings differ in rate, a segment holds too few frequencies of the band, each has a gap, most rows are lost,
+        the response is another derivative of the deflection than it says, its integral is noise, or force and response
+        have opposite signs.
     """
     grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
+    step_s = 1.0 / _common_rate_hz(recordings, grids)
     rows = equation_rows(recordings, grids, band_hz)
-    step_s = 1.0 / grids[0].rate_hz
     start_s = _aligned(recordings, grids, band_hz, rows, step_s)
     refuse_integrated_noise(rows, band_hz)
     delay_s = _delay(rows, start_s, step_s)
@@ -151,6 +153,21 @@ def diagnose_forced(
             "or the response is an acceleration (name its channel response_<what>_mps2)"
         )
     return diagnosis
+
+
+def _common_rate_hz(recordings: Sequence[ForcedRecording], grids: Sequence[EvenRecording]) -> float:
+    """Rate of all recordings.
+
+    Raises
+    ------
+    RecordingError
+        They differ: one delay and one noise are fitted to all, and both go by the row.
+    """
+    rates_hz = np.array([even.rate_hz for even in grids])
+    if float(np.ptp(rates_hz)) > _SAME_RATE * float(rates_hz.max()):
+        each = ", ".join(f"{entry.name} {hz:.4g} Hz" for entry, hz in zip(recordings, rates_hz.tolist(), strict=True))
+        raise RecordingError(f"the recordings differ in rate: {each}; diagnose those of one rate together")
+    return float(rates_hz.mean())
 
 
 def _aligned(
