@@ -12,13 +12,13 @@ from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.link.udp import buffer_shortfall
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
 from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.core.clock.bank import ClockBank
 from companion.doctor.evidence import Beat, Evidence
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.ports import Clock
 from companion.records import (
     AutopilotParameter,
@@ -36,13 +36,6 @@ from companion.records import (
 )
 
 SETTLE_SHARE = 0.4  # of the time given, for rates that were just asked for (choice)
-WANTED = (
-    *NEEDED_PARAMETERS,
-    "RNGFND1_MAX_CM", "RNGFND1_MIN_CM", "PRX1_TYPE", "PRX_TYPE",
-    "RNGFND2_TYPE", "RNGFND2_ORIENT", "RNGFND3_TYPE", "RNGFND3_ORIENT", "RNGFND4_TYPE", "RNGFND4_ORIENT",
-    "RNGFND_LANDING", "EKF2_RNG_CTRL",
-    "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF", "CAM1_DURATION", "CAM2_DURATION",
-)  # fmt: skip
 
 
 class Examination:
@@ -62,7 +55,8 @@ class Examination:
         each: Callable[[Record], None] | None = None,
     ) -> None:
         self._each = each
-        self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=WANTED)
+        needed = tuple(VEHICLE_PARAMETERS)
+        self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=needed)
         self._evidence = Evidence(airframe, settings, live=True, seconds=seconds)
         self._links = list(links)
         self._spelling = {link.number: link.spelling for link in links}

@@ -82,7 +82,7 @@ _ROWS = (
     VehicleParameter("CAM2_DURATION", "s", 0, 5, "how fast the autopilot's right camera can be fired"),
 )
 VEHICLE_PARAMETERS: dict[str, VehicleParameter] = {row.name: row for row in _ROWS}
-"""The one table: every parameter of a vehicle that is used anywhere, by its name."""
+"""The one table, by name: every parameter that is used anywhere, asked for by the doctor and read from logs."""
 
 
 def implausible(name: str, value: float) -> str | None:

@@ -118,8 +118,8 @@ def _finite(decoder: Decoder, chunk: RawChunk) -> None:
         elif isinstance(record, VehicleState):
             numbers = (record.roll_rad, record.pitch_rad, record.yaw_rad, record.airspeed_mps, record.climb_mps)
             good = bool(np.isfinite([*numbers, record.throttle]).all())
-        elif isinstance(record, AutopilotParameter):  # those in the table are judged, and named, by the pipeline
-            good = bool(np.isfinite(record.value)) or record.name in VEHICLE_PARAMETERS
+        elif isinstance(record, AutopilotParameter):  # its value is judged, and named, by the pipeline
+            good = record.name in VEHICLE_PARAMETERS
         else:
             good = True
         if not good:

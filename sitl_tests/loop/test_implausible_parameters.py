@@ -13,7 +13,6 @@ from companion.cli.doctor import diagnose
 from companion.core.autopilot_filters import NAMES
 from companion.core.pipeline import start, step
 from companion.doctor.evidence import Evidence, FindingLevel
-from companion.doctor.examine import WANTED
 from companion.doctor.parameters import check_parameters
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -87,7 +86,7 @@ def test_a_good_value_is_taken_again_and_the_next_wild_one_said_again() -> None:
 
 
 def test_every_parameter_that_is_asked_for_is_in_the_table() -> None:
-    assert {*NAMES, *NEEDED_PARAMETERS, *WANTED} <= VEHICLE_PARAMETERS.keys()
+    assert {*NAMES, *NEEDED_PARAMETERS} <= VEHICLE_PARAMETERS.keys()
 
 
 @pytest.mark.parametrize("name", sorted(VEHICLE_PARAMETERS))

@@ -17,7 +17,6 @@ from companion.records import (
     ImuBatch,
     RawChunk,
     Reject,
-    Rejected,
     Station,
     TimesyncReply,
     VehicleState,
@@ -131,14 +130,12 @@ def test_flight_state_and_parameters_come_from_the_autopilot_alone() -> None:
     other = mavlink.MAVLink_param_value_message(b"ARSPD_TYPE", 1.0, 9, 1, 5)
     sick = mavlink.MAVLink_param_value_message(b"INS_ACC_ID", math.nan, 9, 1, 5)  # nobody uses it
     records = stream(*map(packed, (pilot_heartbeat(armed=True), air, attitude, loop, other, sick)), packed(loop, 200))
-    state, parameter, refused = records
+    state, parameter = records
     assert isinstance(state, VehicleState)
     assert (state.t_boot_ns, state.armed, state.throttle) == (4 * S, True, 0.55)
     np.testing.assert_allclose([state.roll_rad, state.pitch_rad, state.yaw_rad], [0.1, -0.2, 0.3], rtol=1e-6)
     assert (state.airspeed_mps, state.climb_mps) == (17.5, -1.5)
     assert parameter == AutopilotParameter("SCHED_LOOP_RATE", 400.0, stream.now)
-    assert isinstance(refused, Rejected)
-    assert refused.reason == Reject.NOT_FINITE
 
 
 def test_flight_state_is_thinned_to_fifty_a_second() -> None:

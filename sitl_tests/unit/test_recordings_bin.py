@@ -13,8 +13,12 @@ from hypothesis import strategies as st
 from companion.adapters.recordings.logs.bin import BinRecording, raw_accelerometer
 from companion.adapters.recordings.logs.dataflash import DataflashLog
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.doctor.examine import read_log
+from companion.doctor.ranging import check_ranging
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, VehicleState
 
 AIRFRAME = load_airframe("sitl-plane")
@@ -87,6 +91,23 @@ def test_parameters_and_flight_state_come_in_si_and_in_time_order(tmp_path: Path
     assert state.airspeed_mps == 17.5
     times = [entry.received_host_ns for entry in records]  # type: ignore[union-attr]
     assert times == sorted(times)
+
+
+def test_every_parameter_that_the_doctor_judges_is_read(tmp_path: Path) -> None:
+    """A second range finder, cameras and the landing were left out: the doctor was silent on them."""
+    log = flight()
+    for row in VEHICLE_PARAMETERS.values():
+        log.add("PARM", 600, row.name.encode(), row.high, row.high)
+    path = write(tmp_path, log.data)
+    evidence = read_log(path, AIRFRAME, Settings())
+    assert evidence.parameters == pytest.approx({name: row.high for name, row in VEHICLE_PARAMETERS.items()})
+    log.add("PARM", 700, b"RNGFND2_TYPE", 20.0, 20.0)
+    log.add("PARM", 700, b"RNGFND2_ORIENT", 25.0, 25.0)
+    downward = load_airframe("nadir-2m")
+    assert downward.orientation == 25
+    rival = read_log(write(tmp_path, log.data), downward, Settings())
+    rival.parameters.pop("IMU_ACCEL_CUTOFF")  # PX4's
+    assert any("RNGFND2 looks to 25 too" in finding.text for finding in check_ranging(rival))
 
 
 def test_gyro_samples_at_other_stamps_are_interpolated_to_the_accelerometers(tmp_path: Path) -> None:

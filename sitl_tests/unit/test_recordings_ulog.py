@@ -89,7 +89,7 @@ def test_sensor_instances_become_stations_at_their_sample_time(tmp_path: Path) -
 
 
 def test_the_combined_topic_stands_for_the_first_imu_with_both_its_times(tmp_path: Path) -> None:
-    log = Log(("sensor_combined", 0), parameters={"IMU_GYRO_CUTOFF": 40.0, "MPC_XY_P": 1.0})
+    log = Log(("sensor_combined", 0), parameters={"IMU_GYRO_CUTOFF": 40.0, "EKF2_RNG_CTRL": 0.0, "MPC_XY_P": 1.0})
     for k in range(100):
         log.add("sensor_combined", 0, 10_000 + 4000 * k, 0.001 * k, 0.0, 0.0, -1000, 1.0, 2.0, 3.0)
     recording = opened(tmp_path, log.data, SIX_AXES)
@@ -100,7 +100,7 @@ def test_the_combined_topic_stands_for_the_first_imu_with_both_its_times(tmp_pat
     np.testing.assert_allclose(stream.values[:, 3], 0.001 * (np.arange(1, 100) - 0.25), rtol=1e-5)
     assert stream.values[0, :3].tolist() == [1.0, 2.0, 3.0]
     parameters = [entry for entry in recording.records() if isinstance(entry, AutopilotParameter)]
-    assert [(entry.name, entry.value) for entry in parameters] == [("IMU_GYRO_CUTOFF", 40.0)]
+    assert [(entry.name, entry.value) for entry in parameters] == [("IMU_GYRO_CUTOFF", 40.0), ("EKF2_RNG_CTRL", 0.0)]
 
 
 def test_integrated_samples_are_divided_by_their_time(tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ from companion.records import (
     VehicleState,
 )
 
-PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
 _STATE_PERIOD_MS = 20  # chosen: 50 states a second at most; display and motion want 20
 _VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
@@ -322,10 +321,6 @@ class Translator:
 
     def _parameter(self, heard: Heard) -> Iterator[Record]:
         message = heard.message
-        if not message.param_id.startswith(PARAMETER_PREFIXES):
-            return
-        value = parameter_value(message, bytewise=self.px4)
-        if math.isfinite(value) or message.param_id in VEHICLE_PARAMETERS:  # the pipeline says what is wrong with it
+        if message.param_id in VEHICLE_PARAMETERS:  # whatever its value: the pipeline says what is wrong with it
+            value = parameter_value(message, bytewise=self.px4)
             yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
-        else:
-            self._refusals.add(Reject.NOT_FINITE, f"parameter {message.param_id}")

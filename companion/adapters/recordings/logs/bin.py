@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
 from companion.adapters.recordings.logs.dataflash import DataflashLog
 from companion.adapters.recordings.logs.onboard_log import (
     FILTERED,
@@ -26,7 +25,7 @@ from companion.adapters.recordings.logs.onboard_log import (
 )
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
-from companion.params.vehicle import implausible
+from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
 from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
 
@@ -82,7 +81,7 @@ class BinRecording(OnboardLog):
             return
         for t_us, name, value in zip(table["TimeUS"].tolist(), table["Name"], table["Value"].tolist(), strict=True):
             text = name.decode("ascii", "replace")
-            if text.startswith(PARAMETER_PREFIXES) and math.isfinite(value):
+            if text in VEHICLE_PARAMETERS and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(text, value, t_us * 1000)
 
     def states(self) -> Iterator[tuple[int, VehicleState]]:

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
 from companion.adapters.recordings.logs.onboard_log import LoggedAxes, OnboardLog, as_floats, latest, vehicle_states
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
 _LEAST_RATE_HZ = 50.0  # slower topics are logged for plots alone (choice)
@@ -119,7 +119,7 @@ class UlogRecording(OnboardLog):
     def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
         """Parameters, less IMU_INTEG_RATE: see the module."""
         for t_us, name, value in self._log.parameters:
-            if name.startswith(PARAMETER_PREFIXES) and name != _INTEGRATION_RATE and math.isfinite(value):
+            if name in VEHICLE_PARAMETERS and name != _INTEGRATION_RATE and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(name, value, t_us * 1000)
 
     def states(self) -> Iterator[tuple[int, VehicleState]]:
