@@ -81,11 +81,11 @@ def _worth(plain: dict[str, Any]) -> str:
     if plain["verdict"] == "adequate":
         return "No effect that has a name would gain anything."
     if pair is None:
-        return "No image matches were held out here, so that it cannot be told what it is worth in metres."
+        return "No image matches were held out here, so that its worth in metres is unknown."
     before, after = pair
     toe = (plain["gain"] or {}).get("toe_rms_rad")
-    turned = f" ({1e3 * toe['before']:.2f} to {1e3 * toe['after']:.2f} mrad of relative toe)" if toe else ""
-    metres = f"{before:.2f} m rms become {after:.2f} m at {FAR_M} m{turned}, on blocks that were not fitted"
+    in_toe = f" ({1e3 * toe['before']:.2f} to {1e3 * toe['after']:.2f} mrad of relative toe)" if toe else ""
+    metres = f"{before:.2f} m rms become {after:.2f} m at {FAR_M} m{in_toe}, on blocks that were not fitted"
     if worthwhile(plain):
         return f"Worth flying: {metres}."
     named = "Named, but not worth flying" if plain["verdict"] == "explained" else "Not worth flying as far as it goes"

@@ -192,16 +192,15 @@ def _forced(
     recordings = []
     for table in tables:
         forces = [name for name in table.channels if name.startswith(_INPUT)]
-        answers = [name for name in table.channels if name.startswith(_RESPONSE)]
-        if len(forces) != 1 or len(answers) != 1:
-            raise RecordingError(
-                f"{table.path}: a forced oscillator needs one {_INPUT}<what> and one {_RESPONSE}<what>"
-            )
+        measured = [name for name in table.channels if name.startswith(_RESPONSE)]
+        if len(forces) != 1 or len(measured) != 1:
+            needed = f"one {_INPUT}<what> and one {_RESPONSE}<what>"
+            raise RecordingError(f"{table.path}: a forced oscillator needs {needed}")
         _rate_hz(table, _band(mapping))
-        _varying(table, [*forces, *answers])
-        force, answer = table.channels[forces[0]], table.channels[answers[0]]
-        kind = ResponseKind.of_channel(answers[0])
-        recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer, kind))
+        _varying(table, [*forces, *measured])
+        force, response = table.channels[forces[0]], table.channels[measured[0]]
+        kind = ResponseKind.of_channel(measured[0])
+        recordings.append(ForcedRecording(table.path.name, table.t_s, force, response, kind))
     plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
     return plain, lambda: findings_page(plain, mapping.description)
 
@@ -215,10 +214,10 @@ def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
         raise RecordingError(f"{table.path}: a vibration test needs {_FORCE} and {_RESPONSE}<point>_mps2")
     rate_hz = _rate_hz(table, band_hz)
     _varying(table, [_FORCE, *names])
-    answers: Floats = np.stack([table.channels[name] for name in names], axis=1)
-    f_hz, shown = responses(table.channels[_FORCE], answers, rate_hz, band_hz)
+    accelerations: Floats = np.stack([table.channels[name] for name in names], axis=1)
+    f_hz, frf = responses(table.channels[_FORCE], accelerations, rate_hz, band_hz)
     order = table.constants.get("run_order")
-    return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, shown, table.constants)
+    return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, frf, table.constants)
 
 
 def _rate_hz(table: MappedTable, band_hz: tuple[float, float]) -> float:

@@ -160,7 +160,7 @@ def test_the_linear_part_of_a_cubic_spring_is_its_mean_slope(model: WingModel, c
     speed = rng.permuted(q, axis=1)
     observations = Observations(100.0, (Side.LEFT,), np.zeros((m, 1)), np.zeros(1), False, np.ones(m), {}, None)
     transforms = Transforms(m, 0.01, 0.0)
-    push = SensorLineariser(observations, transforms).push(
+    push = SensorLineariser(observations, transforms).linearise_forces(
         model, (EffectTerm(made("cubic-stiffness", kappa_per_m2=2000.0)),), q, speed
     )
     stiffness = structure_of(AIRFRAME.wing).stiffness_radps2[0, 0]

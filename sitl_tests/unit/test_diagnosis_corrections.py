@@ -55,7 +55,7 @@ def test_a_kick_shorter_than_a_sample_gives_its_whole_speed_and_nothing_beyond_t
     kick = catalogue()["impulsive-forcing"].from_values({"symmetric1_mps": 0.5, "at1_s": 20.0, "width_s": 0.002})
     still = np.zeros((2, model.transforms.count))
     wing = WingModel(model.belief.airframe.wing)
-    load = lineariser.push(wing, [EffectTerm(kick)], still, still).residual_mps2
+    load = lineariser.linearise_forces(wing, [EffectTerm(kick)], still, still).residual_mps2
     spectrum = np.abs(np.fft.rfft(load[0])) * model.transforms.dt_s
     assert spectrum[0] == pytest.approx(0.5, rel=1e-6)
     half = len(spectrum) // 2
@@ -72,17 +72,17 @@ def test_a_gap_smaller_than_what_is_not_told_of_the_deflection_acts_by_its_mean(
     q_m = np.zeros((2, model.transforms.count))
     q_m[0] = 0.005 * rng.standard_normal(q_m.shape[1])
     term = EffectTerm(catalogue()["freeplay"].from_values({"gap_m": 0.0006}))
-    pushed = lineariser.push(wing, [term], q_m, np.zeros_like(q_m), 0.001)
+    pushed = lineariser.linearise_forces(wing, [term], q_m, np.zeros_like(q_m), 0.001)
     force = pushed.residual_mps2[0] + pushed.per_q[0] @ q_m
     near = np.argsort(np.abs(q_m[0] - 0.001))[:5]
     drawn = q_m[0, near] + 0.001 * rng.standard_normal((200_000, 1))
     expected = wing.structure.stiffness_radps2[0, 0] * np.clip(drawn, -0.0006, 0.0006).mean(0)
     assert force[near] == pytest.approx(expected, rel=0.12)
-    sharp = lineariser.push(wing, [term], q_m, np.zeros_like(q_m))
+    sharp = lineariser.linearise_forces(wing, [term], q_m, np.zeros_like(q_m))
     assert np.all((sharp.residual_mps2[0] + sharp.per_q[0] @ q_m)[near] > 1.25 * expected)
 
 
-def test_what_the_smoother_leaves_untold_is_the_posterior_of_each_half(model: FlightModel) -> None:
+def test_the_smoother_s_posterior_sigma_is_that_of_each_half(model: FlightModel) -> None:
     motion = model.expect(np.zeros(len(model.belief.nuisances))).motion
     density = 0.0
     for k in range(2):
@@ -90,5 +90,5 @@ def test_what_the_smoother_leaves_untold_is_the_posterior_of_each_half(model: Fl
         explained = np.sum(motion.smoother[k] * adjoint(motion.cross)[:, k], axis=0).real
         density += float(np.sum((prior - explained)[1:]))
     expected_m = np.sqrt(2.0 * density * model.transforms.f_hz[1])
-    assert motion._untold_m(motion.smoother) == pytest.approx(expected_m, rel=1e-6)  # type: ignore[attr-defined]
+    assert motion._posterior_sigma_m(motion.smoother) == pytest.approx(expected_m, rel=1e-6)  # type: ignore[attr-defined]
     assert 0.0 < expected_m < 0.3 * np.std(motion.in_time[0][0])

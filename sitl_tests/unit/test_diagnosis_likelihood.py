@@ -261,13 +261,13 @@ def test_a_step_beside_a_model_with_forces_smooths_no_motion_again(
     drawn: FlightModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     passes: list[object] = []
-    push = SensorLineariser.push
+    linearise_forces = SensorLineariser.linearise_forces
 
     def counted(*args: Any) -> StatisticalLinearisation:
         passes.append(args)
-        return push(*args)
+        return linearise_forces(*args)
 
-    monkeypatch.setattr(SensorLineariser, "push", counted)
+    monkeypatch.setattr(SensorLineariser, "linearise_forces", counted)
     terms = [EffectTerm(catalogue()["cubic-stiffness"](50.0))]
     nuisances = np.zeros(len(drawn.belief.nuisances))
     here = drawn.expect(nuisances, terms)

@@ -111,7 +111,7 @@ def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:
     diagnosis = judged(tracks_of(CYCLING, amplitude_of(CYCLING), 4, says))
     (doubt,) = diagnosis.doubts
     assert doubt.name == "run3"
-    assert doubt.tells_mps == pytest.approx(CYCLING[3], abs=0.3)
+    assert doubt.implied_mps == pytest.approx(CYCLING[3], abs=0.3)
     assert judged(tracks_of(CYCLING, amplitude_of(CYCLING), 5)).doubts == ()
 
 
@@ -148,7 +148,7 @@ def test_a_wrong_label_alone_goes(which: int) -> None:
     for seed in range(10):
         (doubt,) = doubtful_labels(settled(speeds, says, 0.02, seed))
         assert doubt.recording == which
-        assert abs(doubt.tells_mps - speeds[which]) < 6.0 * doubt.scatter_mps
+        assert abs(doubt.implied_mps - speeds[which]) < 6.0 * doubt.sigma_mps
 
 
 @pytest.mark.parametrize(("which", "says"), [(0, 155.0), (1, 18.4), (3, 12.0)])
@@ -162,7 +162,7 @@ def test_a_wrong_airspeed_is_told_from_growth_and_decay(which: int, says: float)
     judgement = judged([*tracks_of(speeds, start, 8, labels), *cycles])
     (doubt,) = judgement.doubts
     assert doubt.name == f"run{which}"
-    assert abs(doubt.tells_mps - speeds[which]) < 3.0 * doubt.scatter_mps + 0.2
+    assert abs(doubt.implied_mps - speeds[which]) < 3.0 * doubt.sigma_mps + 0.2
     assert judgement.onset is not None
     assert abs(judgement.onset.airspeed_mps - ONSET_MPS) < 3.0 * judgement.onset.sigma_mps + 0.1
     assert judged([*tracks_of(speeds, start, 9), *cycles]).doubts == ()

@@ -62,7 +62,7 @@ def test_the_gain_is_told_in_mrad_of_toe_too() -> None:
 def test_without_matches_nothing_is_said_in_metres() -> None:
     plain = diagnosed("explained", None)
     assert worthwhile(plain) is None
-    assert "cannot be told" in summary_sentences(plain, [])["worth"]
+    assert "its worth in metres is unknown" in summary_sentences(plain, [])["worth"]
     assert " m rms" not in summary_sentences(plain, [])["worth"]
 
 

@@ -59,8 +59,8 @@ def recoil_delay(tips_mps2: Floats, root_mps2: Floats, rate_hz: float, airframe:
     lifted = 1.0 - ratio**2 - 2j * zeta * ratio
     delay_s = 0.0
     for _ in range(_PASSES):
-        shown = both * np.exp(1j * omega * delay_s)
-        columns = np.stack([shown, lifted * shown, 1j * omega * shown], axis=1)
+        delayed = both * np.exp(1j * omega * delay_s)
+        columns = np.stack([delayed, lifted * delayed, 1j * omega * delayed], axis=1)
         table, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([root.real, root.imag])
         weights = np.linalg.lstsq(table, wanted, rcond=None)[0]
         delay_s += float(weights[2] / weights[0])
@@ -69,5 +69,5 @@ def recoil_delay(tips_mps2: Floats, root_mps2: Floats, rate_hz: float, airframe:
         return None
     scatter = left / (len(wanted) - len(weights)) * _BINS_PER_INDEPENDENT
     chance_s = math.sqrt(scatter * float(np.linalg.inv(table.T @ table)[2, 2])) / abs(float(weights[0]))
-    turned_s = 2.0 * mode.damping.sigma * abs(float(weights[1] / weights[0])) / (2.0 * math.pi * first_hz)
-    return RecoilDelay(first_hz, delay_s, math.hypot(chance_s, turned_s, airframe.root.time_offset_sigma_s))
+    of_damping_s = 2.0 * mode.damping.sigma * abs(float(weights[1] / weights[0])) / (2.0 * math.pi * first_hz)
+    return RecoilDelay(first_hz, delay_s, math.hypot(chance_s, of_damping_s, airframe.root.time_offset_sigma_s))

@@ -1,4 +1,4 @@
-"""Specific force of the rigid aircraft at a tip, from the root's IMU, and the reading of a tip that is turned.
+"""Specific force of the rigid aircraft at a tip, from the root's IMU, and the reading of a tip that is tilted.
 
 ``rigid`` are the root's further axes by letter, each with its own stamps: x, y in m/s^2, p, q, r in rad/s.
 """
@@ -16,7 +16,7 @@ from companion.records import Floats, Side
 _Channels = Mapping[str, tuple[Floats, Floats]]
 
 _HARDLY = 0.02  # power gain of a filter, below which it is not undone (choice)
-_LEAST_FORCE_MPS2 = 3.0  # vertical force below which the lateral one does not show a turn (choice)
+_LEAST_FORCE_MPS2 = 3.0  # vertical force below which the lateral one does not show a tilt (choice)
 # of the first mode's frequency: full share up to the first, none from the second on, where recoil begins (choice)
 _BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7
 # least coherence of roll and tips; least share of the tips' power from which incoherent roll is left in (choice)
@@ -50,16 +50,16 @@ def roll_share(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe
     recorded = np.interp(t_s, *rigid["p"])
     places = [(airframe.left, airframe.right)[side].position_m[1] for side in Side]
     arm_m = places[1] - places[0] if tips.shape[1] > 1 else max(places)
-    shown = tips[:, -1] - tips[:, 0] if tips.shape[1] > 1 else tips[:, 0]
-    first, second = (_in_bands(values, bands, width) for values in (recorded, shown))
-    power, power_shown = (np.mean(np.abs(entry) ** 2, axis=1) for entry in (first, second))
+    relative = tips[:, -1] - tips[:, 0] if tips.shape[1] > 1 else tips[:, 0]
+    first, second = (_in_bands(values, bands, width) for values in (recorded, relative))
+    power, power_relative = (np.mean(np.abs(entry) ** 2, axis=1) for entry in (first, second))
     centre_hz = f_hz[: bands * width].reshape(bands, width).mean(1)
     noise = _gyro_noise(rigid["p"], airframe) * 0.5 * rate_hz
     removed = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
-    coherence = np.abs(np.mean(first * second.conj(), axis=1)) ** 2 / np.maximum(power * power_shown, 1e-300)
+    coherence = np.abs(np.mean(first * second.conj(), axis=1)) ** 2 / np.maximum(power * power_relative, 1e-300)
     passed = np.abs(_gyro_response(centre_hz, airframe)) ** 2
     felt = (2.0 * np.pi * centre_hz * arm_m) ** 2 * power / np.maximum(passed, _HARDLY)
-    removed[(coherence < _COHERENT) & (felt > _SLIGHT * power_shown)] = 0.0
+    removed[(coherence < _COHERENT) & (felt > _SLIGHT * power_relative)] = 0.0
     return np.asarray(np.maximum(manoeuvre, np.interp(f_hz, centre_hz, removed)))
 
 
@@ -126,24 +126,24 @@ def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats
 
     ``domega/dt x r + omega x (omega x r)`` of body rates p, q, r (3, m).
     """
-    turn = np.gradient(rates_radps, 1.0 / rate_hz, axis=1)
+    angular_accel_radps2 = np.gradient(rates_radps, 1.0 / rate_hz, axis=1)
     arm = arm_m[:, None]
     around = np.cross(rates_radps, arm, axis=0)
-    return np.asarray(np.cross(turn, arm, axis=0) + np.cross(rates_radps, around, axis=0))
+    return np.asarray(np.cross(angular_accel_radps2, arm, axis=0) + np.cross(rates_radps, around, axis=0))
 
 
 def tip_axes_corrected(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
-    """Vertical specific force, in the aircraft's axes, of a tip that the wing has turned about x, (m,).
+    """Vertical specific force, in the aircraft's axes, of a tip that the wing has tilted about x, (m,).
 
-    Bending makes no lateral force. The turn A follows from what the tip reads of ``y`` beyond the rigid aircraft's,
+    Bending makes no lateral force. The tilt A follows from what the tip reads of ``y`` beyond the rigid aircraft's,
     ``tan A = (y - y_rigid) / z``, and is interpolated where the tip is nearly weightless.
     """
-    tells = np.abs(force_z) > _LEAST_FORCE_MPS2
-    if not tells.any():
+    loaded = np.abs(force_z) > _LEAST_FORCE_MPS2
+    if not loaded.any():
         return force_z
     at = np.arange(len(force_z))
-    turn = np.interp(at, at[tells], np.arctan((force_y - rigid_y)[tells] / force_z[tells]))
-    return np.asarray((force_z + np.sin(turn) * rigid_y) / np.cos(turn))
+    tilt_rad = np.interp(at, at[loaded], np.arctan((force_y - rigid_y)[loaded] / force_z[loaded]))
+    return np.asarray((force_z + np.sin(tilt_rad) * rigid_y) / np.cos(tilt_rad))
 
 
 def _faded(values: Floats, rate_hz: float, whole_hz: float, nothing_hz: float) -> Floats:

@@ -1,7 +1,7 @@
 """Defects that show in the samples themselves, before any model: a range too small, steps too coarse, wandering stamps.
 
 Such causes are certain where they are seen; nothing is fitted to them. What can be mended is mended (clipped peaks are
-interpolated), the rest is told. Each effect finds itself (:meth:`Effect.sample_defect`).
+interpolated), the rest is reported. Each effect finds itself (:meth:`Effect.sample_defect`).
 """
 
 from __future__ import annotations

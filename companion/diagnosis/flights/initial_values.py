@@ -88,9 +88,9 @@ def _step(
 ) -> tuple[Floats, Floats] | None:
     """One step of damped Gauss and Newton that lowers the sum of squares with the priors; None where there is none."""
     prior = 1.0 / sigmas[free] ** 2
-    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ deviation - prior * values[free]
+    normal, descent = slopes.T @ slopes + np.diag(prior), -slopes.T @ deviation - prior * values[free]
     for damping in (1e-3, 1e-1, 1.0, 10.0, 100.0):
-        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), descent)
         candidate = values.copy()
         candidate[free] += np.clip(move, -_MOST * sigmas[free], _MOST * sigmas[free])
         try:

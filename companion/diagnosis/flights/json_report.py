@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from companion.diagnosis.flights.outcome import FlightDiagnosis
-from companion.diagnosis.flights.untold_scale import scale_note
+from companion.diagnosis.flights.scale_observability import scale_note
 from companion.diagnosis.flights.views import strengths
 from companion.diagnosis.json_rows import adequacy, cause_head, deviation, failures, nats, quantity
 from companion.diagnosis.model.effect_term import EffectTerm

@@ -28,7 +28,7 @@ def screen(
 ) -> Screening[EffectTerm]:
     """Score every term at a fitted model ``null``, which may hold effects that have been accepted.
 
-    ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` is told the share that is done. With
+    ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` takes the share that is done. With
     ``shapes`` parameters without an effect at strength 0 (an instant, a frequency) have the columns of a slight
     strength. These say nothing of whether an effect is there, but which other effects it can imitate.
     """

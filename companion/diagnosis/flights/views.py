@@ -68,10 +68,10 @@ def autocorrelation(model: FlightModel, expectation: Expectation) -> Autocorrela
     """Autocorrelation of each accelerometer's residual; white where nothing is left."""
     white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
-    turn = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
-    values = (np.abs(white) ** 2 @ turn).real / np.sum(np.abs(white) ** 2, axis=1, keepdims=True)
-    # a mean of b exponentials turned by phases has variance 1/2b; the band's own ringing is taken off
-    window = np.mean(turn, axis=0).real
+    phasors = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
+    values = (np.abs(white) ** 2 @ phasors).real / np.sum(np.abs(white) ** 2, axis=1, keepdims=True)
+    # a mean of b exponentials of random phases has variance 1/2b; the band's own ringing is taken off
+    window = np.mean(phasors, axis=0).real
     bound = 1.96 * float(np.sqrt(0.5 / (len(model.band_hz) * model.weight)))
     return Autocorrelation(lag_s, np.asarray(values - window), bound)
 
@@ -95,16 +95,17 @@ def backbone(model: FlightModel, expectation: Expectation) -> Backbone:
     near = (f_hz > 0.6 * wing.frequency_hz.value) & (f_hz < 1.5 * wing.frequency_hz.value)
     analytic = np.fft.ifft(np.where(near, 2.0 * spectrum, 0.0), len(expectation.q_m[0]))
     amplitude = np.abs(analytic)
-    turn = np.diff(np.unwrap(np.angle(analytic)), append=np.nan) * model.observations.rate_hz / (2.0 * np.pi)
-    turn[-1] = turn[-2]
+    phase_step = np.diff(np.unwrap(np.angle(analytic)), append=np.nan)
+    instantaneous_hz = phase_step * model.observations.rate_hz / (2.0 * np.pi)
+    instantaneous_hz[-1] = instantaneous_hz[-2]
     force, speed = _force(model, expectation), expectation.qdot_mps[0]
     rows = []
     for index in np.array_split(np.argsort(amplitude), _AMPLITUDE_BINS):
         weight = amplitude[index] ** 2
-        mean = float(np.sum(weight * turn[index]) / np.sum(weight))
+        mean = float(np.sum(weight * instantaneous_hz[index]) / np.sum(weight))
         # neighbours swing together for about 1/(zeta omega)
         alone = max(len(index) / (model.observations.rate_hz / (wing.damping.value * omega)), 2.0)
-        spread = float(np.sqrt(np.sum(weight * (turn[index] - mean) ** 2) / np.sum(weight) / alone))
+        spread = float(np.sqrt(np.sum(weight * (instantaneous_hz[index] - mean) ** 2) / np.sum(weight) / alone))
         work = -force[index] * speed[index] / np.sqrt(np.mean(speed[index] ** 2))
         rows.append([float(np.median(amplitude[index])), mean, spread, np.mean(work), np.std(work) / np.sqrt(alone)])
     return Backbone(*np.array(rows).T)

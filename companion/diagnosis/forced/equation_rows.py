@@ -25,8 +25,8 @@ _EDGE = 0.02  # of a recording, left out at either end (choice)
 _FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _LEAST_SPREAD = 1.0  # chosen, bins rms: a tone in a Hann taper has 0.33 to 0.5
 _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
-_DRIVEN = 0.01  # of the segment's largest power of the force, from which a bin is driven (choice)
-_ANSWERED = 100.0  # chosen, times the response's least power in the band: from there a bin is known in spite of noise
+_EXCITED = 0.01  # of the segment's largest power of the force, from which a bin is excited (choice)
+_ABOVE_NOISE = 100.0  # chosen, times the response's least power in the band: noise moves such a bin little
 _MOST_NOISE = 0.05  # chosen, of an integrated deflection's power: a cube came out 31 % too small at 0.14, 3 % at 0.02
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
@@ -52,7 +52,7 @@ class EquationRows:
     """Bins (n,) of all segments: ``table`` (s, n) is force, m, c and k's columns and the laws', ``block`` the segment.
 
     ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time, and ``power`` is the
-    deflection's at all frequencies, of which the bins have a part.
+    deflection's at all frequencies.
     """
 
     table: Spectra
@@ -77,18 +77,20 @@ def equation_rows(
     kind: ResponseKind | None = None,
 ) -> EquationRows:
     """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
-    pieces = max(_SEGMENTS // len(recordings), 2)
+    n_segments = max(_SEGMENTS // len(recordings), 2)
     tables, omegas, kinds, blocks, motions, power = [], [], [], [], [], 0.0
     for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
         taken = entry.kind if kind is None else kind
         series = _series(even, band_hz, taken)
         motions.append(np.stack([series[3], series[2]]))
-        for i, (table, omega, of_deflection) in enumerate(_segments(entry.name, even, series, taken, band_hz, pieces)):
+        for i, (table, omega, of_deflection) in enumerate(
+            _segments(entry.name, even, series, taken, band_hz, n_segments)
+        ):
             tables.append(table)
             omegas.append(omega)
             power += of_deflection
             kinds.append(np.full(len(omega), float(taken)))
-            blocks.append(np.full(len(omega), float(k * pieces + i)))
+            blocks.append(np.full(len(omega), float(k * n_segments + i)))
     if not tables:
         raise RecordingError("no segment without a gap: record without losses")
     table, omega, kinds_of, block, motion = (
@@ -122,12 +124,12 @@ def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKin
     """
     count = len(even.force)
     f_hz = np.fft.rfftfreq(count, 1.0 / even.rate_hz)
-    turn = 2j * np.pi * f_hz
+    jw = 2j * np.pi * f_hz
     least_hz = 0.5 * band_hz[0] if kind else 0.0
     measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
-    spectrum = np.where(measured, np.fft.rfft(even.response), 0.0) / np.where(measured & (kind > 0), turn, 1.0) ** kind
-    deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
-    fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
+    spectrum = np.where(measured, np.fft.rfft(even.response), 0.0) / np.where(measured & (kind > 0), jw, 1.0) ** kind
+    deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
+    fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, _FINER * count) * _FINER for power in (0, 1))
     laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
     return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
 
@@ -138,26 +140,26 @@ def _segments(
     series: Sequence[Floats],
     kind: ResponseKind,
     band_hz: tuple[float, float],
-    pieces: int,
+    n_segments: int,
 ) -> list[tuple[Spectra, Floats, float]]:
-    """All series (s, f) of each segment without a gap in the driven bins of the band, omega (f,), deflection's power.
+    """All series (s, f) of each segment without a gap in the excited bins of the band, omega (f,), deflection's power.
 
     The power is that at all frequencies.
     """
     segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
-    for index in np.array_split(np.arange(edge, count - edge), pieces):
-        part_hz = np.fft.rfftfreq(len(index), 1.0 / even.rate_hz)
-        inside = (part_hz > band_hz[0]) & (part_hz < band_hz[1])
+    for index in np.array_split(np.arange(edge, count - edge), n_segments):
+        segment_hz = np.fft.rfftfreq(len(index), 1.0 / even.rate_hz)
+        inside = (segment_hz > band_hz[0]) & (segment_hz < band_hz[1])
         if inside.sum() < _LEAST_BINS:
-            raise RecordingError(f"{name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
+            raise RecordingError(f"{name}: too short: {n_segments} segments must hold {_LEAST_BINS} frequencies each")
         if even.lost[index].any():
             continue
         taper = np.hanning(len(index))
         spectra = np.stack([np.fft.rfft(taper * values[index]) / np.sqrt(len(index)) for values in series])
-        inside &= _driven(spectra[0], inside) | _answered(spectra[3 - kind], inside)
+        inside &= _excited(spectra[0], inside) | _above_noise(spectra[3 - kind], inside)
         power = float(np.sum(np.abs(spectra[3]) ** 2))
-        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * part_hz[inside]), power))
+        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * segment_hz[inside]), power))
     return segments
 
 
@@ -166,22 +168,22 @@ def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:
     middle = float(power @ omega / power.sum())
     if float(power @ (omega - middle) ** 2 / power.sum()) < (_LEAST_SPREAD * bin_radps) ** 2:
         raise RecordingError(
-            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass cannot be told "
-            "from a spring: drive with noise, a sweep, or one frequency after the other"
+            f"the force has one frequency alone, {middle / (2.0 * np.pi):.4g} Hz, at which a mass is not "
+            "distinguishable from a spring: drive with noise, a sweep, or one frequency after the other"
         )
 
 
-def _driven(force: Spectra, inside: Bools) -> Bools:
+def _excited(force: Spectra, inside: Bools) -> Bools:
     """Bins (f,) with force: rows of nothing but the response's noise would draw all coefficients to 0."""
     power = uniform_filter1d(np.abs(force) ** 2, _SMOOTHED)
-    return np.asarray(power > _DRIVEN * float(power[inside].max()))
+    return np.asarray(power > _EXCITED * float(power[inside].max()))
 
 
-def _answered(response: Spectra, inside: Bools) -> Bools:
+def _above_noise(response: Spectra, inside: Bools) -> Bools:
     """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws.
 
     The response is what was recorded, whose noise is alike at all frequencies, and its noise is its least in the band:
     above, it is cut off.
     """
     power = uniform_filter1d(np.abs(response) ** 2, _SMOOTHED)
-    return np.asarray(power > _ANSWERED * float(power[inside].min()))
+    return np.asarray(power > _ABOVE_NOISE * float(power[inside].min()))

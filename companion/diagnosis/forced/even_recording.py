@@ -62,11 +62,11 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
         text = "the response piles up at its largest or smallest value: it is clipped, which looks like a law"
         notes.append(f"{name}: {text}")
     straight = lost | bool(ratio.min() < _CROWDED)
-    push, answer = (
+    even_force, even_response = (
         np.where(straight, np.interp(even_s, at_s, values), CubicSpline(at_s, values)(even_s))
         for at_s, values in ((t_s, force), (t_s[~wild], response[~wild]))
     )
-    return EvenRecording((count - 1) / float(t_s[-1] - t_s[0]), push, answer, lost, tuple(notes))
+    return EvenRecording((count - 1) / float(t_s[-1] - t_s[0]), even_force, even_response, lost, tuple(notes))
 
 
 def _wild(values: Floats) -> Bools:

@@ -18,10 +18,10 @@ _COARSE, _FINE = 0.5, 0.05  # steps of the search, samples (choice)
 
 def error_ratio(force: Spectra, columns: Spectra, omega: Floats, delay_s: float) -> float:
     """Error of least squares over the force, both rms; ``force`` (n,), ``columns`` (s, n), ``omega`` (n,) in rad/s."""
-    turned = force * np.exp(1j * omega * delay_s)
-    values = np.linalg.lstsq(real_rows(columns).T, real_rows(turned), rcond=None)[0]
-    left = real_rows(turned) - values @ real_rows(columns)
-    return float(np.sqrt(np.mean(left**2) / np.mean(real_rows(turned) ** 2)))
+    advanced = force * np.exp(1j * omega * delay_s)
+    values = np.linalg.lstsq(real_rows(columns).T, real_rows(advanced), rcond=None)[0]
+    left = real_rows(advanced) - values @ real_rows(columns)
+    return float(np.sqrt(np.mean(left**2) / np.mean(real_rows(advanced) ** 2)))
 
 
 def least_error(force: Spectra, columns: Spectra, omega: Floats, step_s: float) -> tuple[float, float]:

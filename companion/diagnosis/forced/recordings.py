@@ -6,8 +6,8 @@ is linear in everything unknown. It is written in the frequency domain, segment 
 made of the whole recording in time, then cut, tapered and transformed. Its error is the measured response's times
 D + s(t) + j omega z(t), D = k + j omega c - omega^2 m, s and z the slopes of the laws over deflection and speed, and
 that of the force, alike at all frequencies: (|D + mean s + j omega mean z|^2 + var s + omega^2 var z + rho^2)^1/2
-(after Sanathanan and Koerner), rho by profile likelihood. A force that came late is turned back. Deflection counts from
-the recording's own zero: a cube about another zero has a square.
+(after Sanathanan and Koerner), rho by profile likelihood. The delay of the force is estimated and removed. Deflection
+counts from the recording's own zero: a cube about another zero has a square.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def diagnose_forced(
         comes = "late" if delay_s > 0.0 else "early"
         notes += (
             f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
-            f"{abs(delay_s + rest_s) / step_s:.2f} rows: turned back; look for filters or clocks that differ",
+            f"{abs(delay_s + rest_s) / step_s:.2f} rows: removed; look for filters or clocks that differ",
         )
     added = added_by_noise(omega, np.tile(rows.kind, 2), rows.slopes, variance, scale)
     late_too = np.pad(added, ((0, 1), (0, 1)))

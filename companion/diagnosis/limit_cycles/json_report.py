@@ -10,12 +10,13 @@ from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDe
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
 from companion.diagnosis.limit_cycles.decays import force_curve
+from companion.diagnosis.limit_cycles.labels import LabelDoubt
 from companion.diagnosis.limit_cycles.recordings import LIMIT_CYCLE, FlutterDiagnosis
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
 
-_FAR = 4.5  # sigmas of a window that is told by itself (choice)
+_FAR = 4.5  # sigmas of a window that is noted by itself (choice)
 _SURELY = 3.0  # chosen: sigmas of the onset, below which a limit cycle makes it subcritical
 _FAST = 0.1  # of ln amplitude a period: a fifth in a window of two (choice)
 _TOO_FAST = ", too fast for the model, whose averages follow slow changes only"
@@ -152,23 +153,23 @@ def _onset(diagnosis: FlutterDiagnosis) -> dict[str, Any] | None:
         return None
     low, high = onset.bracket_mps
     if math.isnan(onset.airspeed_mps):
-        says = f"the {onset.windows} windows at small amplitude, {low:g} to {high:g} m/s, do not tell it"
-        return {"airspeed_mps": None, "windows": onset.windows, "cycles_from_mps": None, "says": says}
+        text = f"the {onset.windows} windows at small amplitude, {low:g} to {high:g} m/s, do not determine it"
+        return {"airspeed_mps": None, "windows": onset.windows, "cycles_from_mps": None, "says": text}
     value = quantity(onset.airspeed_mps, onset.sigma_mps, "m/s", "airspeed at which small vibrations stop decaying")
-    says = f"{onset.airspeed_mps:.1f} ± {onset.sigma_mps:.1f} m/s, by {onset.windows} windows at small amplitude alone"
+    text = f"{onset.airspeed_mps:.1f} ± {onset.sigma_mps:.1f} m/s, by {onset.windows} windows at small amplitude alone"
     lowest = min((row.airspeed_mps for row in diagnosis.rows if row.cycle), default=math.inf)
     below = lowest < onset.airspeed_mps - _SURELY * onset.sigma_mps
     if below:
-        says += f"; limit cycles stand from {lowest:g} m/s on, where small vibrations still decay: it is subcritical"
-    return {"airspeed_mps": value, "windows": onset.windows, "cycles_from_mps": lowest if below else None, "says": says}
+        text += f"; limit cycles stand from {lowest:g} m/s on, where small vibrations still decay: it is subcritical"
+    return {"airspeed_mps": value, "windows": onset.windows, "cycles_from_mps": lowest if below else None, "says": text}
 
 
-def _doubt(entry: Any) -> dict[str, Any]:
-    says = (
-        f"{entry.name} says {entry.says_mps:g} m/s, but its {entry.by} is that of {entry.tells_mps:.1f} m/s "
-        f"(the others tell it to {entry.scatter_mps:.2f} m/s): left out"
+def _doubt(entry: LabelDoubt) -> dict[str, Any]:
+    text = (
+        f"{entry.name} says {entry.stated_mps:g} m/s, but its {entry.by} is that of {entry.implied_mps:.1f} m/s "
+        f"(by the others, to {entry.sigma_mps:.2f} m/s): left out"
     )
-    return {"recording": entry.name, "says_mps": entry.says_mps, "tells_mps": entry.tells_mps, "says": says}
+    return {"recording": entry.name, "says_mps": entry.stated_mps, "tells_mps": entry.implied_mps, "says": text}
 
 
 def _decay(diagnosis: FlutterDiagnosis, number: int) -> dict[str, Any]:

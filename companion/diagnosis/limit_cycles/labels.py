@@ -35,14 +35,14 @@ _RELATED = 2.0  # factor on the variance, because gusts of the tunnel outlast a 
 class LabelDoubt:
     """A recording whose vibration is that of another airspeed than it says.
 
-    ``tells_mps`` is the airspeed by the vibration, ``scatter_mps`` its sigma, ``by`` the property that gave it.
+    ``implied_mps`` is the airspeed by the vibration, ``sigma_mps`` its sigma, ``by`` the property that gave it.
     """
 
     recording: int
     name: str
-    says_mps: float
-    tells_mps: float
-    scatter_mps: float
+    stated_mps: float
+    implied_mps: float
+    sigma_mps: float
     by: str = "limit cycle"
 
 
@@ -88,8 +88,8 @@ def _doubtful_growths(tracks: Sequence[VibrationTrack], growths: Sequence[_Growt
         expected, sigma = _airspeed_by_growth(judged, [*growths[:k], *growths[k + 1 :]])
         off = abs(judged.airspeed_mps - expected)
         if off > max(_FAR * sigma, _LEAST * abs(expected)):
-            name, says = tracks[judged.recording].name, judged.airspeed_mps
-            doubts.append((off / sigma, k, LabelDoubt(judged.recording, name, says, expected, sigma, "growth")))
+            name, stated = tracks[judged.recording].name, judged.airspeed_mps
+            doubts.append((off / sigma, k, LabelDoubt(judged.recording, name, stated, expected, sigma, "growth")))
     if not doubts:
         return []
     _, worst, furthest = max(doubts)
@@ -120,15 +120,15 @@ def _airspeed_by_growth(judged: _Growth, others: Sequence[_Growth]) -> tuple[flo
 def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:
     """Limit cycles whose amplitude is another airspeed's as the others have it, robust against other wrong labels."""
     steady = [i for i, entry in enumerate(tracks) if entry.steady.any() and entry.airspeed_mps is not None]
-    says = np.array([float(tracks[i].airspeed_mps or 0.0) for i in steady])
-    tells = np.array([_features(tracks[i]) for i in steady])
+    stated = np.array([float(tracks[i].airspeed_mps or 0.0) for i in steady])
+    log_amplitude = np.array([_features(tracks[i]) for i in steady])
     return tuple(
-        LabelDoubt(steady[k], tracks[steady[k]].name, float(says[k]), expected, scatter)
-        for k, expected, scatter in _furthest_first(says, tells, list(range(len(steady))))
+        LabelDoubt(steady[k], tracks[steady[k]].name, float(stated[k]), expected, scatter)
+        for k, expected, scatter in _furthest_first(stated, log_amplitude, list(range(len(steady))))
     )
 
 
-def _furthest_first(says: Floats, tells: Floats, rows: list[int]) -> list[tuple[int, float, float]]:
+def _furthest_first(stated: Floats, log_amplitude: Floats, rows: list[int]) -> list[tuple[int, float, float]]:
     """The row furthest from the fit to the others, then the furthest of the rest; each with its airspeed and sigma.
 
     The largest and the smallest amplitude are not judged, because the error of an extrapolation is not known.
@@ -136,27 +136,27 @@ def _furthest_first(says: Floats, tells: Floats, rows: list[int]) -> list[tuple[
     if len(rows) < _FEWEST:
         return []
     doubts = []
-    for k in sorted(rows, key=lambda row: float(tells[row]))[1:-1]:
+    for k in sorted(rows, key=lambda row: float(log_amplitude[row]))[1:-1]:
         others = [row for row in rows if row != k]
-        expected, sigma = _airspeed_by_amplitude(tells[k], tells[others], says[others])
-        off = abs(says[k] - expected)
+        expected, sigma = _airspeed_by_amplitude(log_amplitude[k], log_amplitude[others], stated[others])
+        off = abs(stated[k] - expected)
         if off > max(_FAR * sigma, _LEAST * abs(expected)):
             doubts.append((off / max(sigma, 1e-9), k, expected, sigma))
     if not doubts:
         return []
     _, worst, expected, sigma = max(doubts)
-    return [(worst, expected, sigma), *_furthest_first(says, tells, [row for row in rows if row != worst])]
+    return [(worst, expected, sigma), *_furthest_first(stated, log_amplitude, [row for row in rows if row != worst])]
 
 
-def _airspeed_by_amplitude(judged: float, tells: Floats, says: Floats) -> tuple[float, float]:
+def _airspeed_by_amplitude(judged: float, log_amplitude: Floats, stated: Floats) -> tuple[float, float]:
     """Airspeed and sigma at an amplitude's logarithm as others (n,) have it.
 
     The fit passes through as many points as it has coefficients: the scatter is that of the rest.
     """
-    design = _design(tells, tells)
-    coefficients = _least_absolute(design, says)
-    residual = np.sort(np.abs(says - design @ coefficients))[_DEGREE + 1 :]
-    row = _design(np.array([judged]), tells)[0]
+    design = _design(log_amplitude, log_amplitude)
+    coefficients = _least_absolute(design, stated)
+    residual = np.sort(np.abs(stated - design @ coefficients))[_DEGREE + 1 :]
+    row = _design(np.array([judged]), log_amplitude)[0]
     leverage = float(row @ np.linalg.pinv(design.T @ design) @ row)
     scatter = MAD_TO_SIGMA * float(np.median(residual))
     return float(row @ coefficients), scatter * float(np.sqrt(1.0 + _LEAST_ABSOLUTE * leverage))

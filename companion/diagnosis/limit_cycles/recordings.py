@@ -171,14 +171,15 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
         terms.append(
             _airspeed(Coefficient("frequency: airspeed", FREQUENCY, v, 0.2 * level, "Hz^2", f"{FREQUENCY}{_PER}"))
         )
-    way = ~cycle
-    if way.sum() >= _FEWEST_WINDOWS:
-        a, inside, alike = relative[way, 0], _inside_cycle(relative[:, 0], v, cycle)[way], np.zeros_like(group[way])
-        noise = np.asarray(scale[way], dtype=np.float64)
-        responses.append(RegressionResponse(DAMPING, zeta[way], noise, alike, block[way], a, 0.0, 0.05, 0.01))
+    transient = ~cycle
+    if transient.sum() >= _FEWEST_WINDOWS:
+        a, noise = relative[transient, 0], np.asarray(scale[transient], dtype=np.float64)
+        inside, alike = _inside_cycle(relative[:, 0], v, cycle)[transient], np.zeros_like(group[transient])
+        of_window = zeta[transient], noise, alike, block[transient], a
+        responses.append(RegressionResponse(DAMPING, *of_window, 0.0, 0.05, 0.01))
         terms.append(_damping(names[0], a, inside))
-        if np.ptp(speeds[way]) > 0.0:
-            column = v[way] * inside
+        if np.ptp(speeds[transient]) > 0.0:
+            column = v[transient] * inside
             terms.append(_airspeed(Coefficient("damping: airspeed", DAMPING, column, 0.02, "", f"{DAMPING}{_PER}")))
     if cycle.sum() >= _FEWEST_CYCLES and np.ptp(speeds[cycle]) > 0.0:
         followed = {CYCLE: (square / level)[cycle]}

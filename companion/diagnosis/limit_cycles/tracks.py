@@ -97,14 +97,14 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     rows, amplitudes = [], []
     for first in range(0, len(at) - _WINDOW, _WINDOW):
         window = slice(first, first + _WINDOW + 1)
-        log_a = np.log(np.maximum(np.abs(z[window]), 1e-300))
-        growth, level = np.polyfit(t_s[window] - t_s[window].mean(), log_a, 1)
-        phase = np.unwrap(np.angle(z[window]))
-        turn, begun = np.polyfit(t_s[window] - t_s[window].mean(), phase, 1)
-        off = log_a - level + 1j * (phase - begun) - (growth + 1j * turn) * (t_s[window] - t_s[window].mean())
-        turn, uneven = turn / (2.0 * np.pi), float(np.std(off))
-        rows.append((t_s[window].mean(), centre_hz + turn, growth, uneven))
-        passed = max(float(np.sinc(turn * period / rate_hz)) ** 2, _LEAST_PASSED)
+        since_s = t_s[window] - t_s[window].mean()
+        log_a, phase = np.log(np.maximum(np.abs(z[window]), 1e-300)), np.unwrap(np.angle(z[window]))
+        growth, level = np.polyfit(since_s, log_a, 1)
+        slope_radps, middle_rad = np.polyfit(since_s, phase, 1)
+        residual = log_a - level + 1j * (phase - middle_rad) - (growth + 1j * slope_radps) * since_s
+        offset_hz = slope_radps / (2.0 * np.pi)
+        rows.append((t_s[window].mean(), centre_hz + offset_hz, growth, float(np.std(residual))))
+        passed = max(float(np.sinc(offset_hz * period / rate_hz)) ** 2, _LEAST_PASSED)
         amplitudes.append([np.exp(np.mean(np.log(np.abs(e[window]) + 1e-300))) / passed for e in envelopes.values()])
     table, levels = np.array(rows), np.array(amplitudes)
     steady = _steady(levels[:, 0], _LEAST_CYCLES // _WINDOW)
@@ -151,10 +151,10 @@ def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> 
     return float(f_hz[inside][k]), float(power[inside][k]), float(np.median(power[inside]))
 
 
-def _envelope(values: Floats, turns: float, period: int) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+def _envelope(values: Floats, frequency: float, period: int) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     box = np.ones(period) / period
-    turned = values * np.exp(-2j * np.pi * turns * np.arange(len(values)))
-    return np.asarray(2.0 * np.convolve(turned, np.convolve(box, box), "same"))
+    demodulated = values * np.exp(-2j * np.pi * frequency * np.arange(len(values)))
+    return np.asarray(2.0 * np.convolve(demodulated, np.convolve(box, box), "same"))
 
 
 def _steady(amplitude: Floats, least: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

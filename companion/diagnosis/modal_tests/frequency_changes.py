@@ -1,6 +1,6 @@
 """Frequencies that changed from run to run, and which channels returned to a value with them.
 
-A channel set once per run (a sensor's position, a temperature) is told from mere run order only where a value was left
+A channel set once per run (a sensor's position, a temperature) is separable from run order only where a value was left
 and came back: then runs of equal value must agree if it is the cause, whenever they were made. A channel none of whose
 values came back, or all at one frequency, goes hand in hand with run order, whatever its numbers are.
 """
@@ -135,8 +135,8 @@ def _channel(name: str, values: Sequence[float], mode: ModeOverRuns) -> Channel:
     levels = _levels(values)
     again = np.flatnonzero(_came_back(levels))
     # values that came back within the unchanged part say nothing of the change
-    told_apart = disagreement(mode.frequency_hz[again], mode.sigma_hz[again]) >= CHANGED_Z
-    return Channel(name, levels, disagreement_within(mode, levels) if told_apart else None)
+    distinguishable = disagreement(mode.frequency_hz[again], mode.sigma_hz[again]) >= CHANGED_Z
+    return Channel(name, levels, disagreement_within(mode, levels) if distinguishable else None)
 
 
 def _levels(values: Sequence[float]) -> tuple[int, ...]:

@@ -78,14 +78,14 @@ class ModeOverRuns:
 
 
 def responses(
-    force_n: Floats, answers_mps2: Floats, rate_hz: float, band_hz: tuple[float, float]
+    force_n: Floats, accelerations_mps2: Floats, rate_hz: float, band_hz: tuple[float, float]
 ) -> tuple[Floats, Complexes]:
-    """Lines and responses (m, k) of a whole record of answers (n, m): for sweeps that begin and end at rest."""
+    """Lines and responses (m, k) of a whole record of accelerations (n, m): for sweeps that begin and end at rest."""
     f_hz = np.fft.rfftfreq(len(force_n), 1.0 / rate_hz)
     inside = (f_hz > band_hz[0]) & (f_hz < band_hz[1])
-    pushed = np.fft.rfft(force_n - force_n.mean())[inside]
-    answered = np.fft.rfft(answers_mps2 - answers_mps2.mean(0), axis=0)[inside]
-    return np.asarray(f_hz[inside]), np.asarray((answered / pushed[:, None]).T)
+    force = np.fft.rfft(force_n - force_n.mean())[inside]
+    acceleration = np.fft.rfft(accelerations_mps2 - accelerations_mps2.mean(0), axis=0)[inside]
+    return np.asarray(f_hz[inside]), np.asarray((acceleration / force[:, None]).T)
 
 
 def modes_of_runs(runs: Sequence[VibrationRun]) -> tuple[list[ModeOverRuns], list[str]]:
@@ -114,7 +114,7 @@ def modes_of_runs(runs: Sequence[VibrationRun]) -> tuple[list[ModeOverRuns], lis
             modes.append(mode)
         else:
             notes.append(
-                f"the peak near {f_hz[k]:.2f} Hz is no mode: one leaves {100 * remains:.0f} % of it; was it driven?"
+                f"the peak near {f_hz[k]:.2f} Hz is no mode: one leaves {100 * remains:.0f} % of it; was it excited?"
             )
     if short and not modes:
         raise short[0]
@@ -132,11 +132,11 @@ def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
     level = np.where(np.abs(run.frequency_hz - near_hz) < _REACH * near_hz, _smooth(_level(run.response)), 0.0)
     peak_hz = float(run.frequency_hz[int(np.argmax(level))])
     inside = np.abs(run.frequency_hz - peak_hz) < max(_WIDTH * peak_hz, _LEAST_WIDTH_HZ)
-    omega, shown = 2.0 * np.pi * run.frequency_hz[inside], run.response[:, inside].T
+    omega, measured = 2.0 * np.pi * run.frequency_hz[inside], run.response[:, inside].T
     # real and imaginary each; the mode and the two beside it are complex in every response
-    freedom = shown.size * 2 - 2 - 6 * shown.shape[1]
+    freedom = measured.size * 2 - 2 - 6 * measured.shape[1]
     if freedom < _LEAST_FREEDOM:
-        needed = math.ceil(3.0 + 0.5 * (2 + _LEAST_FREEDOM) / shown.shape[1])
+        needed = math.ceil(3.0 + 0.5 * (2 + _LEAST_FREEDOM) / measured.shape[1])
         raise RecordingError(
             f"run {run.name}: record longer: {len(omega)} lines of the spectrum about the peak at {peak_hz:.2f} Hz, "
             f"{needed} are needed"
@@ -144,7 +144,7 @@ def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
 
     def left(guess: Floats) -> Floats:
         design = _design(omega, guess)
-        residual = design @ np.linalg.lstsq(design, shown, rcond=None)[0] - shown
+        residual = design @ np.linalg.lstsq(design, measured, rcond=None)[0] - measured
         return np.concatenate([residual.real.ravel(), residual.imag.ravel()])
 
     tries = [least_squares(left, [peak_hz, np.log(zeta)], x_scale=[0.01 * peak_hz, 0.3]) for zeta in _DAMPINGS]
@@ -153,7 +153,7 @@ def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
     slope = np.asarray(best.jac, dtype=np.float64)
     spread = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)) * variance)
     zeta = float(np.exp(best.x[1]))
-    relative_misfit = float(np.sqrt(2.0 * best.cost / np.sum(np.abs(shown) ** 2)))
+    relative_misfit = float(np.sqrt(2.0 * best.cost / np.sum(np.abs(measured) ** 2)))
     return ModeOfRun(float(best.x[0]), float(spread[0]), zeta, zeta * float(spread[1]), relative_misfit)
 
 

@@ -78,8 +78,8 @@ class GenericVaryingStiffness(GenericForce):
 
     def force(self, motion: ModalMotion) -> Floats:
         """Apply the law."""
-        pull: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return -self.strength * type(self).sway(across(np.asarray(motion.t_s))) * pull
+        spring_force: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
+        return -self.strength * type(self).sway(across(np.asarray(motion.t_s))) * spring_force
 
 
 @dataclass(frozen=True, slots=True)

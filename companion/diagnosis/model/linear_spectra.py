@@ -86,11 +86,11 @@ class Spectra:
 
     def _leaked(self, leak: GenericLeak, sensing: Complexes) -> Complexes:
         """Sensing (c, n, f) of channels of which one shows a share of the other."""
-        shown = sensing.copy()
+        leaked = sensing.copy()
         for i, side in enumerate(self.sides):
             if STATIONS[side] is leak.station:
-                shown[i] += leak.leaked_ratio * (np.sum(sensing, axis=0) - sensing[i])
-        return shown
+                leaked[i] += leak.leaked_ratio * (np.sum(sensing, axis=0) - sensing[i])
+        return leaked
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         """Complex gain of the accelerometers, (c, f); the last is kept."""
@@ -194,7 +194,7 @@ class Spectra:
         return np.asarray(gain)
 
     def _noise(self, channel: int, side: Side, deviation: Mapping[str, float]) -> Floats:
-        """Noise behind a sensor's low-pass, and ahead of it where that is told apart, (f,) or ()."""
+        """Noise behind a sensor's low-pass, and ahead of it where that is separate, (f,) or ()."""
         believed = 0.5 * self.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz ** 2
         name = side.name.lower()
         density = np.asarray(believed * np.exp(2.0 * deviation.get(f"{name}.noise", 0.0)))

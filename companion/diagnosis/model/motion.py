@@ -37,8 +37,8 @@ class _Forces:
     """Forces of state and time on a motion (n, m each): linearisation, and the spectrum of its residual (n, f)."""
 
     motion: tuple[Floats, Floats]
-    untold_m: float
-    push: StatisticalLinearisation
+    sigma_m: float
+    linearised: StatisticalLinearisation
     rest: Complexes | None
 
 
@@ -72,7 +72,7 @@ class SmoothedMotion:
             self._up_mps2 = self._up_mps2 - leaked_mps2
         self._bent = self._up_mps2 is not grid.lineariser.recorded_mps2
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
-        self._push: Complexes | None = self._measured
+        self._deterministic_load: Complexes | None = self._measured
         shared = None if neighbour is None else neighbour.forces_on(wing, self._terms)
         if shared is not None:
             self._apply(shared, lambda structure, filtered: linear_of(structure, scale, filtered))
@@ -99,26 +99,28 @@ class SmoothedMotion:
         """
         for _ in range(_PASSES):
             smoother = self._smoother()
-            motion, untold_m = self._smoothed(smoother), self._untold_m(smoother)
-            self._apply(self._forces_on_motion(self._wing, self._terms, motion, untold_m), linear_of)
+            motion, sigma_m = self._smoothed(smoother), self._posterior_sigma_m(smoother)
+            self._apply(self._forces_on_motion(self._wing, self._terms, motion, sigma_m), linear_of)
 
     def _apply(self, forces: _Forces, linear_of: Callable[[Structure, Complexes | None], Linear]) -> None:
         """Forces in the linear model: mean slopes as stiffness and damping, their residual as a load."""
-        structure, push = self._wing.structure, forces.push
-        stiffness, damping = structure.stiffness_radps2 - push.per_q, structure.damping_radps - push.per_qdot
+        structure, linearised = self._wing.structure, forces.linearised
+        stiffness = structure.stiffness_radps2 - linearised.per_q
+        damping = structure.damping_radps - linearised.per_qdot
         if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
             raise ValueError("these forces make the wing unstable")
         self._forces = forces
-        self._take(linear_of(replace(structure, stiffness_radps2=stiffness, damping_radps=damping), push.filtered))
+        effective = replace(structure, stiffness_radps2=stiffness, damping_radps=damping)
+        self._take(linear_of(effective, linearised.filtered))
         if forces.rest is not None:
-            self._push = forces.rest if self._measured is None else forces.rest + self._measured
+            self._deterministic_load = forces.rest if self._measured is None else forces.rest + self._measured
 
     def _forces_on_motion(
-        self, wing: WingModel, terms: Sequence[EffectTerm], motion: tuple[Floats, Floats], untold_m: float
+        self, wing: WingModel, terms: Sequence[EffectTerm], motion: tuple[Floats, Floats], sigma_m: float
     ) -> _Forces:
-        push = self._grid.lineariser.push(wing, terms, *motion, untold_m)
-        rest = self._transforms.spectrum(push.residual_mps2) if np.any(push.residual_mps2) else None
-        return _Forces(motion, untold_m, push, rest)
+        linearised = self._grid.lineariser.linearise_forces(wing, terms, *motion, sigma_m)
+        rest = self._transforms.spectrum(linearised.residual_mps2) if np.any(linearised.residual_mps2) else None
+        return _Forces(motion, sigma_m, linearised, rest)
 
     def forces_on(self, wing: WingModel, terms: Sequence[EffectTerm]) -> _Forces | None:
         """Forces of a model beside this one, on the motion of this one; its own where they are the same.
@@ -135,8 +137,8 @@ class SmoothedMotion:
         if count < wing.count:
             return None
         if forces is None:
-            return self._forces_on_motion(wing, terms, self.in_time, self._untold_m(self.smoother))
-        return self._forces_on_motion(wing, terms, forces.motion, forces.untold_m)
+            return self._forces_on_motion(wing, terms, self.in_time, self._posterior_sigma_m(self.smoother))
+        return self._forces_on_motion(wing, terms, forces.motion, forces.sigma_m)
 
     @cached_property
     def smoother(self) -> Complexes:
@@ -156,7 +158,7 @@ class SmoothedMotion:
     @cached_property
     def residual(self) -> Complexes:
         """Tapered spectrum in the band of what is left once nonlinear sensors and forces are out, (c, b)."""
-        if self._push is None and not self._bent:
+        if self._deterministic_load is None and not self._bent:
             return self._grid.recorded[1]
         return self._transforms.tapered(self._unforced_mps2())[:, self._low : self._top]
 
@@ -176,15 +178,15 @@ class SmoothedMotion:
     @property
     def forced_mps2(self) -> Complexes | None:
         """Spectrum of the accelerations by forces and measured loads, (c, f); None where there are none."""
-        return None if self._push is None else apply(self.linear.sensing, self._forced())
+        return None if self._deterministic_load is None else apply(self.linear.sensing, self._forced())
 
     def _modal(self, smoother: Complexes) -> Complexes:
         within = self._within(smoother)
-        return within if self._push is None else within + self._forced()
+        return within if self._deterministic_load is None else within + self._forced()
 
     def _within(self, smoother: Complexes) -> Complexes:
         """Spectrum of the smoothed deflection beside the forced one; it fades at the ends, (n, f)."""
-        if self._push is None and not self._bent:
+        if self._deterministic_load is None and not self._bent:
             return apply(smoother, self._grid.recorded[0])
         unforced = self._transforms.periodic(self._unforced_mps2())
         return apply(smoother, self._transforms.spectrum(unforced)[:, : self._top])
@@ -195,15 +197,15 @@ class SmoothedMotion:
         return self._up_mps2 if forced is None else self._up_mps2 - self._transforms.in_time(forced)
 
     def _forced(self) -> Complexes:
-        assert self._push is not None
-        return apply(self.linear.receptance, self._push[:, : self._top])
+        assert self._deterministic_load is not None
+        return apply(self.linear.receptance, self._deterministic_load[:, : self._top])
 
     def _smoother(self) -> Complexes:
         gain = np.zeros_like(self.cross)
         gain[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
         return gain
 
-    def _untold_m(self, smoother: Complexes) -> float:
+    def _posterior_sigma_m(self, smoother: Complexes) -> float:
         """Standard deviation that a smoother leaves of either half's first-mode deflection, m."""
         linear = self.linear
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
@@ -216,7 +218,7 @@ class SmoothedMotion:
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]
         within, gain = self._within(smoother), 1.0 / np.maximum(self._transforms.fading, _FADED)
         deflection, speed = (gain * self._transforms.in_time(spectrum) for spectrum in (within, within * omega))
-        if self._push is None:
+        if self._deterministic_load is None:
             return deflection, speed
         forced = self._forced()
         return deflection + self._transforms.in_time(forced), speed + self._transforms.in_time(forced * omega)
@@ -236,16 +238,16 @@ def _with_modes(forces: _Forces, more: int) -> _Forces:
         """Rows that are modes, and columns where these are modes too."""
         widths = [(0, 0)] * values.ndim
         widths[0] = (0, more)
-        if values.shape[:2] == (len(forces.push.per_q),) * 2:
+        if values.shape[:2] == (len(forces.linearised.per_q),) * 2:
             widths[1] = (0, more)
         return np.pad(values, widths)
 
-    push = forces.push
+    linearised = forces.linearised
     wider = StatisticalLinearisation(
-        longer(push.per_q),
-        longer(push.per_qdot),
-        longer(push.residual_mps2),
-        None if push.filtered is None else longer(push.filtered),
+        longer(linearised.per_q),
+        longer(linearised.per_qdot),
+        longer(linearised.residual_mps2),
+        None if linearised.filtered is None else longer(linearised.filtered),
     )
     motion = longer(forces.motion[0]), longer(forces.motion[1])
-    return _Forces(motion, forces.untold_m, wider, None if forces.rest is None else longer(forces.rest))
+    return _Forces(motion, forces.sigma_m, wider, None if forces.rest is None else longer(forces.rest))

@@ -64,7 +64,7 @@ class SensorLineariser:
         self._rigid = _rigid_mps2(observations)
         self._cache: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
         self._corrected: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
-        self._kicks: dict[tuple[Effect, int], Floats] = {}
+        self._impulses: dict[tuple[Effect, int], Floats] = {}
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -108,9 +108,9 @@ class SensorLineariser:
         """Change of a recording by a slight effect on samples beyond its linear part, to first order, (c, m), m/s^2."""
         fine, added = self._fine, np.empty_like(self._up)
         for i, side in enumerate(self._observations.sides):
-            station, shown = STATIONS[side], fine.shown(i)
-            change = fine.sensed(effect, station, shown) - self._of_root(effect)
-            gain = fine.geometric_mean_gain(effect, station, shown) - 1.0
+            station, reading = STATIONS[side], fine.reading(i)
+            change = fine.sensed(effect, station, reading) - self._of_root(effect)
+            gain = fine.geometric_mean_gain(effect, station, reading) - 1.0
             added[i] = fine.thinned(-change, len(self._up[i])) - gain * self._up[i]
         return added
 
@@ -126,24 +126,24 @@ class SensorLineariser:
             load[0] += gains.get(name, 0.0) * values
         return load if np.any(load) else None
 
-    def push(
-        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float = 0.0
+    def linearise_forces(
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, sigma_m: float = 0.0
     ) -> StatisticalLinearisation:
         """Forces of state and time on a smoothed motion (n, m), split by their mean slopes.
 
-        ``untold_m`` is the standard deviation of a half's deflection that the smoother leaves: a law's mean over it is
+        ``sigma_m`` is the smoother's posterior standard deviation of a half's deflection: a law's mean over it is
         what the data can show of the law.
         """
         forcing = [term for term in terms if term.effect.forces_modes()]
         lasting = [term for term in forcing if type(term.effect).remember is not Effect.remember]
-        kicks = [term for term in forcing if term.effect.transient]
+        impulses = [term for term in forcing if term.effect.transient]
         steady = [term for term in forcing if type(term.effect).additive]
-        instant = [term for term in forcing if term not in (*lasting, *kicks, *steady)]
+        instant = [term for term in forcing if term not in (*lasting, *impulses, *steady)]
         n = len(q_m)
         per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
-        rest = self._blurred(wing, instant, q_m, qdot_mps, untold_m)
+        rest = self._posterior_mean(wing, instant, q_m, qdot_mps, sigma_m)
         if np.any(rest):
-            per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), untold_m, rest)
+            per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), sigma_m, rest)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
         rest = rest + self._total(wing, steady, q_m, qdot_mps)
         filtered: Complexes | None = None
@@ -153,7 +153,7 @@ class SensorLineariser:
             per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
             beyond, filtered = self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
             rest = rest + beyond
-        for term in kicks:
+        for term in impulses:
             rest = rest + self._short(wing, term.effect)
         return StatisticalLinearisation(per_q, per_qdot, rest, filtered)
 
@@ -164,25 +164,25 @@ class SensorLineariser:
             total = total if force is None else total + force
         return total
 
-    def _blurred(
-        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float
+    def _posterior_mean(
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, sigma_m: float
     ) -> Floats:
         """Forces (n, m) averaged over the unknown part of either half's deflection (Gauss and Hermite's rule)."""
-        if untold_m <= _SHARP * float(np.std(q_m[0])):
+        if sigma_m <= _SHARP * float(np.std(q_m[0])):
             return self._total(wing, terms, q_m, qdot_mps)
-        blurred = np.zeros_like(q_m)
+        averaged = np.zeros_like(q_m)
         for place, weight in zip(_NODES, _WEIGHTS, strict=True):
             shifted = q_m.copy()
-            shifted[0] += place * untold_m  # both halves alike: each has its own law
-            blurred += weight * self._total(wing, terms, shifted, qdot_mps)
-        return blurred
+            shifted[0] += place * sigma_m  # both halves alike: each has its own law
+            averaged += weight * self._total(wing, terms, shifted, qdot_mps)
+        return averaged
 
     def _mean_slopes(
         self,
         wing: WingModel,
         terms: Sequence[EffectTerm],
         motions: tuple[Floats, Floats],
-        untold_m: float,
+        sigma_m: float,
         total: Floats,
     ) -> tuple[Floats, Floats]:
         """Mean derivatives by deflection and by speed, (n, n) each, of forces that sum to ``total`` (n, m)."""
@@ -201,7 +201,7 @@ class SensorLineariser:
                     perturbed[which] = motion.copy()
                     perturbed[which][j] += bump * self._signs
                     slopes[which, :, j] = (
-                        (self._blurred(wing, terms, perturbed[0], perturbed[1], untold_m) - total)
+                        (self._posterior_mean(wing, terms, perturbed[0], perturbed[1], sigma_m) - total)
                         @ signed_weight
                         / bump
                     )
@@ -245,11 +245,11 @@ class SensorLineariser:
     def _short(self, wing: WingModel, effect: Effect) -> Floats:
         """Loads (n, m) that last for less than a sample and follow no motion, without what no sample can hold; kept."""
         key = effect, wing.count
-        if key not in self._kicks:
-            if len(self._kicks) >= _CACHE_SIZE:
-                self._kicks.pop(next(iter(self._kicks)))
-            self._kicks[key] = self._cut_to_band(wing, effect)
-        return self._kicks[key]
+        if key not in self._impulses:
+            if len(self._impulses) >= _CACHE_SIZE:
+                self._impulses.pop(next(iter(self._impulses)))
+            self._impulses[key] = self._cut_to_band(wing, effect)
+        return self._impulses[key]
 
     def _cut_to_band(self, wing: WingModel, effect: Effect) -> Floats:
         count = len(self._observations.up_mps2)
@@ -285,8 +285,8 @@ class SensorLineariser:
     def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
         """Sum that effects, in their order, have added to a station's reading, (m,), and the scale they amount to."""
         fine, station = self._fine, STATIONS[side]
-        shown = true = fine.shown(channel)
-        scale, added_to_root = 1.0, np.zeros(len(shown))
+        reading = true = fine.reading(channel)
+        scale, added_to_root = 1.0, np.zeros(len(reading))
         for effect in reversed(effects):
             if type(effect).additive:
                 true = true - fine.sensed(effect, station, true)
@@ -294,7 +294,7 @@ class SensorLineariser:
                 true = fine.inverted(effect, station, true)
                 scale *= fine.geometric_mean_gain(effect, station, true)
             added_to_root += self._of_root(effect)
-        return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
+        return fine.thinned(true - reading + added_to_root, len(self._up[channel])), scale
 
     def _of_root(self, effect: Effect) -> Floats | float:
         """Error that an effect adds to a root sensor, which tells the load factor, m/s^2."""
@@ -324,7 +324,7 @@ class _Fine:
             if name in observations.rigid:
                 self._rigid[:, column] = np.interp(self._t_s, observations.t_s, observations.rigid[name])
 
-    def shown(self, channel: int) -> Floats:
+    def reading(self, channel: int) -> Floats:
         """The vertical specific force that a channel shows."""
         return np.asarray(-GRAVITY_MPS2 * self.load_factor - self.up_mps2[channel])
 
@@ -334,14 +334,14 @@ class _Fine:
         values[:, 2] = force_z
         return np.asarray(sensed((effect,), station, self._t_s, values)[:, 2] - force_z)
 
-    def inverted(self, effect: Effect, station: Station, shown: Floats) -> Floats:
+    def inverted(self, effect: Effect, station: Station, reading: Floats) -> Floats:
         """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
-        small = _BUMP * float(np.std(shown))
-        force, bump = shown, small * self._signs
-        gone = np.zeros(len(shown), dtype=bool)
+        small = _BUMP * float(np.std(reading))
+        force, bump = reading, small * self._signs
+        gone = np.zeros(len(reading), dtype=bool)
         for _ in range(_INVERSIONS):
             added = self.sensed(effect, station, force)
-            miss = force + added - shown
+            miss = force + added - reading
             if float(np.max(np.abs(miss), where=~gone, initial=0.0)) <= _INVERTED * small:
                 break
             slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump

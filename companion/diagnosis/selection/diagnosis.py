@@ -42,7 +42,7 @@ def diagnose(
 ) -> Diagnosis[TermT, State]:
     """Judge recordings; name at most ``max_causes`` terms.
 
-    ``progress`` is told what is being done and the share that is done.
+    ``progress`` takes the name of the step and the share that is done.
     """
     progress("fit the believed model", 0.0)
     null = recordings.null()

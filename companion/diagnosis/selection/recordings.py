@@ -111,7 +111,7 @@ class Recordings(ABC, Generic[TermT, State]):
         return True
 
     def not_identifiable(self, null: Fit[TermT, State]) -> str:
-        """Reason for which nothing can be told from these recordings, "" if something can."""
+        """Reason for which nothing is identifiable by these recordings, "" if something is."""
         del null
         return ""
 

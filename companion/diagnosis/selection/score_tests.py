@@ -83,7 +83,7 @@ class Candidate(Generic[TermT]):
 
 @dataclass(frozen=True, slots=True)
 class Screening(Generic[TermT]):
-    """All candidates, strongest first, and how far each can be told from the others.
+    """All candidates, strongest first, and how distinguishable each is from the others.
 
     Attributes
     ----------
@@ -117,9 +117,9 @@ def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) 
     """
     p = len(fitted.values)
     nuisance = information[:p, :p] + np.diag(1.0 / fitted.sigmas**2)
-    pull = gradient[:p] - (fitted.values - fitted.centres) / fitted.sigmas**2
+    posterior_gradient = gradient[:p] - (fitted.values - fitted.centres) / fitted.sigmas**2
     projection = np.linalg.solve(nuisance, information[:p, p:])
-    return gradient[p:] - projection.T @ pull, information[p:, p:] - information[p:, :p] @ projection
+    return gradient[p:] - projection.T @ posterior_gradient, information[p:, p:] - information[p:, :p] @ projection
 
 
 def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) -> Screening[TermT]:

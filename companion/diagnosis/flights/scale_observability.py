@@ -1,4 +1,4 @@
-"""Do a recording's distances tell a wrong baseline or focal length from a wrong toe at all?"""
+"""Whether a recording's distances separate a wrong baseline or focal length from a wrong toe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PRECISE = 0.02  # of the baseline, one sigma: beyond, an error of 6 % passes fo
 
 
 def scale_sigma(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> float:
-    """Relative sigma to which ranges tell the baseline with nothing known of the toe; infinite where they do not.
+    """Relative sigma of the baseline by ranges, with a toe without prior; infinite where it is not observable.
 
     The toe y = toe_0 + e / Z has the information J = [1, 1/Z]^T C^-1 [1, 1/Z]: at one distance the columns are one,
     and an error e of the baseline is as good as a toe of e / Z.
@@ -31,7 +31,7 @@ def scale_sigma(models: Sequence[FlightModel], expectations: Sequence[Expectatio
 
 
 def scale_note(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> list[str]:
-    """Advice where the distances of all recordings together tell neither baseline nor focal length; else empty."""
+    """Advice where the distances of all recordings observe neither baseline nor focal length; else empty."""
     measured = [model.observations.toe for model in models]
     inverse_m = [toe.inverse_m for toe in measured if toe is not None and toe.has_reference]
     if not inverse_m:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.diagnosis.data.observations import Observations, ToeData
-from companion.diagnosis.flights.untold_scale import scale_note, scale_sigma
+from companion.diagnosis.flights.scale_observability import scale_note, scale_sigma
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
