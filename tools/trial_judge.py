@@ -127,6 +127,6 @@ def _inside(label: Hidden, diagnosis: FlightDiagnosis, units: Mapping[str, float
     ((name, truth),) = label.effects.items()
     cause = diagnosis.causes[0]
     if name in IN_SAMPLES or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
-        return None  # told by amplitude and phase, or seen without a fit
+        return None  # identified by amplitude and phase, or without a fit
     which = label.side if name in ("accel-scale", "accel-bias") else 0
     return abs(cause.values[which] - truth * units.get(name, 1.0)) < 1.96 * cause.sigmas[which]

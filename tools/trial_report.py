@@ -113,16 +113,16 @@ def draw(rows: Rows, path: Path) -> None:
         return
     truths = ["nothing", *sorted({name for row in single for name in row["hidden"]})]
     named = sorted({row["named"][0] for row in single if row["named"]} | set(truths[1:]))
-    answers = ["nothing", *named, "unexplained"]
-    counts, grouped = np.zeros((len(truths), len(answers))), np.zeros((len(truths), len(answers)), dtype=bool)
+    predictions = ["nothing", *named, "unexplained"]
+    counts, grouped = np.zeros((len(truths), len(predictions))), np.zeros((len(truths), len(predictions)), dtype=bool)
     for row in single:
         truth = next(iter(row["hidden"]), "nothing")
-        answer = "unexplained" if row["verdict"] == "unexplained" else (row["named"] or ["nothing"])[0]
-        cell = truths.index(truth), answers.index(answer)
+        predicted = "unexplained" if row["verdict"] == "unexplained" else (row["named"] or ["nothing"])[0]
+        cell = truths.index(truth), predictions.index(predicted)
         counts[cell] += 1
         grouped[cell] |= row["right"] and not row["exact"]
     row_fraction = counts / np.maximum(counts.sum(1, keepdims=True), 1.0)
-    size = 2.5 + 0.27 * len(answers)
+    size = 2.5 + 0.27 * len(predictions)
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")
     axis = figure.subplots()
     image = axis.imshow(row_fraction, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
@@ -132,9 +132,9 @@ def draw(rows: Rows, path: Path) -> None:
             axis.text(
                 j, i, text, ha="center", va="center", fontsize=8, color="white" if row_fraction[i, j] > 0.6 else "black"
             )
-    axis.set_xticks(range(len(answers)), answers, rotation=90, fontsize=8)
+    axis.set_xticks(range(len(predictions)), predictions, rotation=90, fontsize=8)
     axis.set_yticks(range(len(truths)), truths, fontsize=8)
-    axis.set_xticks(np.arange(-0.5, len(answers)), minor=True)
+    axis.set_xticks(np.arange(-0.5, len(predictions)), minor=True)
     axis.set_yticks(np.arange(-0.5, len(truths)), minor=True)
     axis.grid(which="minor", color="#e3e8ee", lw=0.6)
     axis.tick_params(which="both", length=0)

@@ -194,5 +194,5 @@ def _misses(rows: Rows) -> list[str]:
 def commit() -> str:
     """The code that is being run: its last commit, and the day."""
     asked = ["git", "log", "-1", "--format=%h of %ad", "--date=short"]
-    answer = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    return answer.stdout.strip() or "unknown"
+    completed = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return completed.stdout.strip() or "unknown"

@@ -27,7 +27,7 @@ _MARGIN_S = 0.004  # samples that have arrived beyond the newest processed insta
 class TrackerOutput:
     """Answers of the tracker: deflections (n, 2) with trim, and their sigmas; NaN where it refused.
 
-    ``smoothed`` is at the instants themselves, told ``LAG_S`` later; ``slope`` is [left, right]. ``forecasts`` has one
+    ``smoothed`` is at the instants themselves, known ``LAG_S`` later; ``slope`` is [left, right]. ``forecasts`` has one
     predicted curve (count,) in steps of 1 ms for each issue, None where refused.
     """
 

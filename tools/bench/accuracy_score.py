@@ -42,7 +42,7 @@ class Score:
     lock : (2,) float64
         Relative frequency error at 5 s over sqrt(zeta / (omega T)).
     refused : float
-        Share of the answers that were refused.
+        Share of the requests that were refused.
     """
 
     suite: str

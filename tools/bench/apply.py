@@ -8,7 +8,7 @@ baseline and focal length show only in how they change with the range. The first
 what was named and read back from its file; where nothing was named and nothing is left over, it has the fitted
 constants alone, as ``spanwise identify flight`` writes them, and an unexplained recording leaves it as believed. Held
 against the second minute, the extended airframe must be adequate. There the service's tracker corrects ranges with four
-airframes: as believed; as extended; the oracle's, which was told the effect and fitted it to the first minute from its
+airframes: as believed; as extended; the oracle's, which knows the effect and fitted it to the first minute from its
 true values on (the oracle of the trials); and as it truly is in every constant, which no minute tells. Range errors are
 without matching noise, as at 60 m, rms over an effect's flights, and the extended airframe's is to be the oracle's
 within 10 %; behind it stands its standard error (jackknife over flights), for of one flight it is a draw of constants.
@@ -173,7 +173,7 @@ def two_minutes() -> FlightPlan:
         rolls=(*minute.rolls, *(dataclasses.replace(roll, from_s=roll.from_s + _HALF_S) for roll in minute.rolls)),
         pull_ups=(
             *minute.pull_ups,
-            *(dataclasses.replace(pull, from_s=pull.from_s + _HALF_S) for pull in minute.pull_ups),
+            *(dataclasses.replace(pull_up, from_s=pull_up.from_s + _HALF_S) for pull_up in minute.pull_ups),
         ),
     )
 
@@ -203,11 +203,11 @@ def toe_error_rad(flight: Flight, airframe: Airframe, flown: Tracked, at_ns: Seq
     inverse, errors = 1.0 / _AT_M, []
     for row, t_ns in enumerate(at_ns):
         focal, wider = focal_px(cameras), real.baseline_m
-        shown = focal * (wider * inverse + toe_rad(believed, real, series, row))
+        measured = focal * (wider * inverse + toe_rad(believed, real, series, row))
         made = focal_px(apply_to_airframe(airframe)) * (
             rig.baseline_m * inverse + _toe_of(believed, rig, flown.bends[t_ns])
         )
-        errors.append((made - shown) / focal)
+        errors.append((made - measured) / focal)
     return float(np.sqrt(np.mean(np.square(errors)))), float(np.std(errors))
 
 

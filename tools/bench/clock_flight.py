@@ -106,17 +106,17 @@ def _fly(flight: Flight, faults: Faults, loop_hz: float, duration_s: float) -> W
 
 
 def _look(bank: ClockBank, watched: Watched, flight_ns: int, now_ns: int, was_synced: bool) -> bool:
-    """Ask for the host time of a stamp that the autopilot would give just now, and hold the answer to the truth."""
+    """Ask for the host time of a stamp that the autopilot would give just now, and compare it with the truth."""
     back_ns = round((REBOOT_S + SILENT_S) * 1e9)
     if REBOOT_S * 1e9 <= flight_ns < back_ns:
         return False  # it says nothing, so nothing can be stamped
     boot_ns = flight_ns - back_ns if flight_ns >= back_ns else flight_ns
-    answer = bank.to_host(ClockName.BOOT, np.array([boot_ns], dtype=np.int64), received_host_ns=now_ns)
-    if not isinstance(answer, tuple):
+    converted = bank.to_host(ClockName.BOOT, np.array([boot_ns], dtype=np.int64), received_host_ns=now_ns)
+    if not isinstance(converted, tuple):
         return False
     if not was_synced:
         watched.locked_s.append(flight_ns * 1e-9)
-    host, bound_ns = answer
+    host, bound_ns = converted
     watched.error_ns.append(abs(int(host[0]) - now_ns))
     watched.bound_ns.append(bound_ns)
     watched.excess_ns.append(bound_ns - watched.least_trip_ns / 2)

@@ -79,13 +79,13 @@ def fly(bank: ClockBank, link: Link, duration_s: int) -> Flight:
             least_round_trip = min(least_round_trip, reply.received_host_ns - sent)
         for end in range(sent + 80 * MS, sent + 180 * MS, 20 * MS):
             true = np.arange(end - 20 * MS, end, MS)
-            answer = bank.to_host(NODE, link.stamps(true), received_host_ns=end + 5 * MS)
-            if isinstance(answer, Reject):
+            converted = bank.to_host(NODE, link.stamps(true), received_host_ns=end + 5 * MS)
+            if isinstance(converted, Reject):
                 continue
             flight.locked_after_s = min(flight.locked_after_s, (end - link.start_ns) / S)
-            flight.error_ns.append(int(np.abs(answer[0] - true).max()))
-            flight.bound_ns.append(answer[1])
-            flight.excess_ns.append(answer[1] - least_round_trip / 2)
-            flight.stamps.append(answer[0])
+            flight.error_ns.append(int(np.abs(converted[0] - true).max()))
+            flight.bound_ns.append(converted[1])
+            flight.excess_ns.append(converted[1] - least_round_trip / 2)
+            flight.stamps.append(converted[0])
             flight.true.append(true)
     return flight

@@ -11,8 +11,8 @@ displacement by 2 zeta, which the tracker's model holds. And the accelerometer r
 outside the band that is judged, it lags the gauges by 7 deg at 200 Hz and 15 deg at 460 Hz, which is 0.10 ms, as its
 upper corner makes one expect.
 
-Medians are over all instants at which the truth can be read, and an instant without an answer counts as 90 deg there;
-the 90th percentile and the column "any" (wherever there is an answer, readable or not) are over the answers.
+Medians are over all instants at which the truth can be read, and an instant without an estimate counts as 90 deg there;
+the 90th percentile and the column "any" (wherever there is an estimate, readable or not) are over the estimates.
 
 Frequencies and wander are the bands in which resonances are seen over the roller's travel; damping, load and settling
 time were found by trying, on these very files. ``--leave-one-out`` asks what that was worth: every setting is halved
@@ -121,9 +121,9 @@ def follow(trial: Trial, resonances: tuple[Resonance, ...] = RESONANCES, every: 
         if step % every:
             continue
         for column, lead_s in enumerate(LEADS_S):
-            answer = tracker.phase(lead_s)
-            if not isinstance(answer, Reject):
-                said[:, step, column] = answer.phase_rad, answer.phase_sigma_rad, answer.frequency_hz
+            estimate = tracker.phase(lead_s)
+            if not isinstance(estimate, Reject):
+                said[:, step, column] = estimate.phase_rad, estimate.phase_sigma_rad, estimate.frequency_hz
     asked = slice(None, None, every)
     at = np.arange(steps)[asked] * _AVERAGE + _AVERAGE - 1
     return Followed(at, said[0, asked], said[1, asked], said[2, asked, 0])
@@ -244,8 +244,8 @@ def _errors(
     for column, lead_s in enumerate(LEADS_S):
         target = followed.at + round(lead_s * trial.rate_hz)
         inside = (followed.at >= first) & (target < last)
-        turned = np.exp(1j * followed.phase_rad[inside, column]) * np.conj(truth[target[inside]])
-        error[inside, column] = _degrees(turned)
+        phasors = np.exp(1j * followed.phase_rad[inside, column]) * np.conj(truth[target[inside]])
+        error[inside, column] = _degrees(phasors)
         good[inside, column] = readable[target[inside]]
     return error, good
 
@@ -253,8 +253,7 @@ def _errors(
 def _readable(trial: Trial, truth: npt.NDArray[np.complex128]) -> npt.NDArray[np.bool_]:
     """Where the judge itself can be read: strain of 2 mV; without gauges, what that is in acceleration."""
     least = _READABLE_V if trial.strain_v.shape[1] else _READABLE_V * 36.0 * _MPS2_PER_VOLT
-    answer: npt.NDArray[np.bool_] = np.abs(truth) > least
-    return answer
+    return np.asarray(np.abs(truth) > least)
 
 
 def _frequency_error(
@@ -274,13 +273,12 @@ def _pair(error: Floats, where: npt.NDArray[np.bool_], percent: float) -> tuple[
 
 
 def _median(error: Floats, readable: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Median of the absolute error where the truth is readable; no answer counts as chance, 90 deg."""
+    """Median of the absolute error where the truth is readable; no estimate counts as chance, 90 deg."""
     return _pair(np.where(np.isnan(error), 90.0, error), readable, 50.0)
 
 
-def _degrees(turned: npt.NDArray[np.complex128]) -> Floats:
-    answer: Floats = np.degrees(np.angle(turned))
-    return answer
+def _degrees(phasors: npt.NDArray[np.complex128]) -> Floats:
+    return np.asarray(np.degrees(np.angle(phasors)))
 
 
 def main(arguments: list[str]) -> int:

@@ -26,7 +26,7 @@ from companion.core.stereo.geometry import Rig
 from companion.errors import RecordingError
 from companion.records import Floats
 from tools.bench.euroc_flexing import FAST_SIGMA_RAD, euroc_airframe, flexed_pairs
-from tools.bench.euroc_judging import TUNED, WAYS, calibration_error, cramer_rao, estimate, split, tuned_prior
+from tools.bench.euroc_judging import METHODS, TUNED, calibration_error, cramer_rao, estimate, split, tuned_prior
 
 _DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 _SETTLED = 5
@@ -35,7 +35,7 @@ _OVER_BOUND = 1.5
 
 
 def run(folder: Path = _DATA / "measured" / "euroc-stereo", seeds: tuple[int, ...] = (1,)) -> list[dict[str, object]]:
-    """One row per seed of the rotations and way: rms error in mrad of pitch, yaw, roll, and the Cramer-Rao bound."""
+    """One row per seed of the rotations and method: rms error in mrad of pitch, yaw, roll, and the Cramer-Rao bound."""
     rig = Rig.from_airframe(euroc_airframe(folder))
     prior = tuned_prior(rig, flexed_pairs(folder, rig, seed=0, which=slice(0, TUNED)))
     rows: list[dict[str, object]] = []
@@ -43,14 +43,14 @@ def run(folder: Path = _DATA / "measured" / "euroc-stereo", seeds: tuple[int, ..
         pairs = flexed_pairs(folder, rig, seed, which=slice(TUNED, None))
         used = split(pairs)
         off = calibration_error(rig, pairs, used, prior)
-        for way in WAYS:
-            verdict = estimate(rig, pairs, used, way, prior)
+        for method in METHODS:
+            verdict = estimate(rig, pairs, used, method, prior)
             rms = 1e3 * np.sqrt(np.mean((verdict.error_rad - off)[_SETTLED:] ** 2, axis=0))
-            row: dict[str, Any] = {"way": way, "seed": seed}
+            row: dict[str, Any] = {"way": method, "seed": seed}
             row |= {"pitch_mrad": rms[0], "roll_mrad": rms[2], "yaw_mrad": rms[1]}
             row["stated_yaw_mrad"] = 1e3 * float(np.sqrt(np.mean(verdict.sigma_rad[_SETTLED:, 1] ** 2)))
-            if way != "modal":
-                bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD if way == "both" else None, prior)
+            if method != "modal":
+                bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD if method == "both" else None, prior)
                 row["bound_yaw_mrad"] = 1e3 * float(np.sqrt(np.mean(bound[_SETTLED:, 1] ** 2)))
                 row["yaw_over_bound"] = rms[1] / row["bound_yaw_mrad"]
                 row["units"] = ((verdict.error_rad - off) / bound)[_SETTLED:, 1]

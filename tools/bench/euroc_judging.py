@@ -21,7 +21,7 @@ from tools.bench.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
 _BASELINE_RAD = 0.0005
 TUNED = 15  # pairs, of 40
 _UNKNOWN_FAST_RAD = 0.005
-WAYS = ("modal", "epipolar", "both")
+METHODS = ("modal", "epipolar", "both")
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,17 @@ def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
     return [random.random(len(pair.matches)) < 0.5 for pair in pairs]
 
 
-def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: ExtrinsicsPrior) -> Verdict:
-    """Error of the total rotation of every pair, estimated in one of three ways; no held-out match is touched."""
+def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], method: str, prior: ExtrinsicsPrior) -> Verdict:
+    """Error of the total rotation of every pair, estimated by one of three methods; no held-out match is touched."""
     epipolar_from_camera = epipolar_frame(rig) @ rig.right.rest.camera_from_body.T
     running = EpipolarFilter(rig, prior)
     errors, sigmas = [], []
     for pair, in_fit in zip(pairs, used, strict=True):
-        fast = np.zeros(3) if way == "epipolar" else pair.fast_known_rad
-        fast_sigma = _UNKNOWN_FAST_RAD if way == "epipolar" else FAST_SIGMA_RAD
+        fast = np.zeros(3) if method == "epipolar" else pair.fast_known_rad
+        fast_sigma = _UNKNOWN_FAST_RAD if method == "epipolar" else FAST_SIGMA_RAD
         correction, sigma = np.zeros(3), np.full(3, np.hypot(prior.rotation_rad, FAST_SIGMA_RAD))
-        if way != "modal":
-            estimator = EpipolarFilter(rig, prior) if way == "epipolar" else running
+        if method != "modal":
+            estimator = EpipolarFilter(rig, prior) if method == "epipolar" else running
             rays = rays_of(rig, pair.matches, fast, in_fit)
             sigma_rad = pair.matches.sigma_px[in_fit] / rig.right.lens.focal_px
             update = estimator.update(rays, sigma_rad, FastBelief(fast_sigma**2 * np.eye(3)), pair.t_ns)

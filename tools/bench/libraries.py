@@ -42,11 +42,11 @@ def frequencies(folder: Path) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for path in files_of(folder, mapping):
         table = read_mapped(path, mapping)
-        answers = np.stack([v for name, v in table.channels.items() if name.startswith("response_")], 1)
-        f_hz, shown = responses(table.channels["input_n"], answers, 2000.0, (0.0, 40.0))
+        accelerations_mps2 = np.stack([v for name, v in table.channels.items() if name.startswith("response_")], 1)
+        f_hz, frf = responses(table.channels["input_n"], accelerations_mps2, 2000.0, (0.0, 40.0))
         inside = f_hz > 4.0
-        ours = mode_of(VibrationRun("", f_hz[inside], shown[:, inside]), _NEAR_HZ)
-        poles_hz, _ = ema_poles_hz(f_hz, shown, (4.0, 35.0), _ORDERS, _NEAR_HZ, _AROUND_HZ, _DAMPINGS)
+        ours = mode_of(VibrationRun("", f_hz[inside], frf[:, inside]), _NEAR_HZ)
+        poles_hz, _ = ema_poles_hz(f_hz, frf, (4.0, 35.0), _ORDERS, _NEAR_HZ, _AROUND_HZ, _DAMPINGS)
         theirs = float(np.median(poles_hz)) if poles_hz else float("nan")
         rows.append(
             {"run": path.stem, "ours_hz": ours.frequency_hz, "sigma_hz": ours.frequency_sigma_hz, "ema_hz": theirs}
@@ -56,7 +56,7 @@ def frequencies(folder: Path) -> list[dict[str, object]]:
 
 def ema_poles_hz(
     f_hz: Floats,
-    shown: Any,
+    frf: Any,
     band_hz: tuple[float, float],
     orders: tuple[int, int],
     near_hz: float,
@@ -65,7 +65,7 @@ def ema_poles_hz(
 ) -> tuple[list[float], int]:
     """Frequencies of sdypy-EMA's poles near one, Hz, over its model orders, and how many orders there are."""
     model_of = importlib.import_module("sdypy.EMA").Model
-    model = model_of(frf=shown, freq=f_hz, lower=band_hz[0], upper=band_hz[1], pol_order_high=orders[1])
+    model = model_of(frf=frf, freq=f_hz, lower=band_hz[0], upper=band_hz[1], pol_order_high=orders[1])
     model.get_poles(show_progress=False)
     poles_hz = [
         float(f)
@@ -76,8 +76,8 @@ def ema_poles_hz(
     return poles_hz, len(model.pole_freq) - orders[0]
 
 
-def foretold(folder: Path) -> list[dict[str, object]]:
-    """Error of one trial foretold 5 samples ahead by what was learned on another, as a share of the signal."""
+def prediction_errors(folder: Path) -> list[dict[str, object]]:
+    """Error of one trial predicted 5 samples ahead by what was learned on another, as a share of the signal."""
     mapping = load_mapping("dropbear8")
     tables = [read_mapped(path, mapping) for path in files_of(folder, mapping)[:2]]
     raws = [
@@ -135,15 +135,16 @@ def _narx(learned: FreeDecay, judged: FreeDecay, roller: bool, degree: int) -> f
     with warnings.catch_warnings(action="ignore"):
         inputs = [float(roller) * record.channels["roller"][:, None] for record in (learned, judged)]
         model.fit(X=inputs[0], y=learned.up_mps2[:, None] / scale)
-        foretold = np.asarray(model.predict(X=inputs[1], y=judged.up_mps2[:, None] / scale, steps_ahead=_AHEAD)).ravel()
+        predicted = model.predict(X=inputs[1], y=judged.up_mps2[:, None] / scale, steps_ahead=_AHEAD)
+    predicted = np.asarray(predicted).ravel()
     # it starts anew from what was measured every 5 samples: the last of each stretch is 5 ahead
-    last = np.arange(model.max_lag + _AHEAD - 1, len(foretold), _AHEAD)
-    return _relative_error(judged, foretold * scale, last)
+    last = np.arange(model.max_lag + _AHEAD - 1, len(predicted), _AHEAD)
+    return _relative_error(judged, predicted * scale, last)
 
 
-def _relative_error(judged: FreeDecay, foretold: Floats, which: Any) -> float:
+def _relative_error(judged: FreeDecay, predicted: Floats, which: Any) -> float:
     still = which[quiet_samples(judged, _AHEAD)[which]]
-    error, signal = (judged.up_mps2 - foretold)[still], judged.up_mps2[still]
+    error, signal = (judged.up_mps2 - predicted)[still], judged.up_mps2[still]
     return float(np.sqrt(np.sum(error**2) / np.sum(signal**2)))
 
 
@@ -161,8 +162,8 @@ def main(arguments: list[str]) -> int:
     else:
         for row in frequencies(folder / "maewing1-gvt"):
             print("  {run:10s} ours {ours_hz:.3f} ± {sigma_hz:.3f} Hz   sdypy-EMA {ema_hz:.3f} Hz".format(**row))
-    print("DROPBEAR, slow10/test1 foretold 32 ms ahead by what was learned on test0: error, share of the signal")
-    for row in foretold(folder / "dropbear8" / "slow10"):
+    print("DROPBEAR, slow10/test1 predicted 32 ms ahead by what was learned on test0: error, share of the signal")
+    for row in prediction_errors(folder / "dropbear8" / "slow10"):
         print("  {by:44s} {share:.3f}".format(**row))
     return 0
 

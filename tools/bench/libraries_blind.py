@@ -62,8 +62,8 @@ def _expected_hz(label: Hidden) -> float:
 
 def _poles(tables: Tables, near_hz: float) -> float:
     """Median of the poles within 4 % over the model orders; nan where there are fewer than in half of these."""
-    f_hz, shown = _half_spectra(tables)
-    poles_hz, orders = ema_poles_hz(f_hz, shown, (2.0, 40.0), _ORDERS, near_hz, 0.04 * near_hz, _DAMPINGS)
+    f_hz, frf = _half_spectra(tables)
+    poles_hz, orders = ema_poles_hz(f_hz, frf, (2.0, 40.0), _ORDERS, near_hz, 0.04 * near_hz, _DAMPINGS)
     return float(np.median(poles_hz)) if len(poles_hz) > 0.5 * orders else float("nan")
 
 

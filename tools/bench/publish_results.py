@@ -70,10 +70,10 @@ def _section(path: Path) -> str:
 
 def commit() -> str:
     """Hash of the last commit of the code that runs, "unknown" without git."""
-    answer = subprocess.run(
+    completed = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent, check=False
     )
-    return answer.stdout.strip() or "unknown"
+    return completed.stdout.strip() or "unknown"
 
 
 class _Both(io.TextIOBase):

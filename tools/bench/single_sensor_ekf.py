@@ -199,5 +199,4 @@ def _free_transition(omega_radps: Floats, damping: Floats, seconds: float, usual
     cos, sin = decay * np.cos(ringing * seconds), decay * np.sin(ringing * seconds)
     drag, across = damping * omega_radps / ringing * sin, usual_radps / ringing * sin
     motion = [[cos + drag, across], [-((omega_radps / usual_radps) ** 2) * across, cos - drag]]
-    answer: Floats = np.array(motion).transpose(2, 0, 1)
-    return answer
+    return np.asarray(np.array(motion).transpose(2, 0, 1))

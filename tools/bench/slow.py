@@ -3,7 +3,7 @@
 Truth: the demo's flight with trim bend, bend per g and camera mounting drawn from wide priors, and a thermal set that
 wanders during the flight. Matches are projections of ground points with noise and blunders, through the true cameras;
 everything else goes through the whole pipeline, from the tenth second on. All three ways have the same tracker, for the
-fast part: "tilt only" does not look at the matches, "epipolar only" is told nothing of the slow bend.
+fast part: "tilt only" does not look at the matches, "epipolar only" does not know the slow bend.
 
 "error" is that of the relative toe below 0.5 Hz, "stated" the pipeline's sigma of the slow part. That sigma covers the
 estimate's jitter above 0.5 Hz too, which the error's low-pass cuts off: where matches are used their ratio is honest at
@@ -53,7 +53,7 @@ from companion.sim.flight.truth import by_family
 from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import IDEAL
 
-WAYS = ("tilt only", "epipolar only", "both")
+METHODS = ("tilt only", "epipolar only", "both")
 SETTLED_S = 10.0
 _SLOW_HZ = 0.5
 _S = 1_000_000_000
@@ -69,9 +69,9 @@ _HONEST = {"tilt only": (0.0, 2.0), "epipolar only": (0.7, 1.3), "both": (0.7, 1
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One seed, one way, shot by shot: toe error below 0.5 Hz, the slow part's sigma, rad; whole error over sigma."""
+    """One seed, one method, shot by shot: toe error below 0.5 Hz, the slow part's sigma, rad; error over sigma."""
 
-    way: str
+    method: str
     seed: int
     error_rad: Floats
     sigma_rad: Floats
@@ -117,7 +117,7 @@ def wide_airframe() -> Airframe:
 
 
 def run(seeds: Iterable[int] = range(1, 5), duration_s: float = 60.0) -> list[Scored]:
-    """Every way on every seed."""
+    """Every method on every seed."""
     return [scored for seed in seeds for scored in score_flight(seed, duration_s)]
 
 
@@ -126,7 +126,7 @@ def score_flight(seed: int, duration_s: float = 60.0, airframe: Airframe | None 
     flight = build_flight(airframe or wide_airframe(), seed, duration_s)
     eyes = TrueEyes(flight)
     flown = _flown(flight, list(eyes.shots()))
-    return [_scored(way, flight, eyes, emitted) for way, emitted in zip(WAYS, flown, strict=True)]
+    return [_scored(method, flight, eyes, emitted) for method, emitted in zip(METHODS, flown, strict=True)]
 
 
 class TrueEyes:
@@ -271,7 +271,7 @@ def in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
         yield record
 
 
-def _scored(way: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> Scored:
+def _scored(method: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> Scored:
     rotations = {record.pair_id: record for record in outputs if isinstance(record, RelativeRotation)}
     t_s, error, sigma, over = [], [], [], []
     for record in outputs:
@@ -283,7 +283,7 @@ def _scored(way: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> 
             over.append(error[-1] / record.toe_sigma_rad)
     late = np.array(t_s) >= SETTLED_S
     slow = slow_part(np.array(t_s), np.array(error), _SLOW_HZ)
-    return Scored(way, flight.seed, slow[late], np.array(sigma)[late], np.array(over)[late])
+    return Scored(method, flight.seed, slow[late], np.array(sigma)[late], np.array(over)[late])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -296,18 +296,18 @@ def main(arguments: list[str] | None = None) -> int:
     print("slow part of the toe seed    error mrad    stated mrad    error/sigma    all of the toe error/sigma")
     for row in rows:
         print(
-            f"{row.way:20s} {row.seed:4d} {row.rms_mrad:13.3f} {row.sigma_mrad:14.3f} {row.over_sigma:14.2f}"
+            f"{row.method:20s} {row.seed:4d} {row.rms_mrad:13.3f} {row.sigma_mrad:14.3f} {row.over_sigma:14.2f}"
             f" {row.whole_over_sigma:14.2f}"
         )
     missed = 0
-    for way in WAYS:
-        of_way = [row for row in rows if row.way == way]
+    for method in METHODS:
+        of_method = [row for row in rows if row.method == method]
         rms, over, over_all = (
-            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in of_way])))
+            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in of_method])))
             for name in ("rms_mrad", "over_sigma", "whole_over_sigma")
         )
-        print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f} {over_all:14.2f}")
-        missed |= not _HONEST[way][0] <= over_all <= _HONEST[way][1]
+        print(f"{method:20s}  all {rms:13.3f} {'':14s} {over:14.2f} {over_all:14.2f}")
+        missed |= not _HONEST[method][0] <= over_all <= _HONEST[method][1]
     return int(missed)
 
 

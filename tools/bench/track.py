@@ -58,7 +58,9 @@ def run(seconds: float = SECONDS) -> list[dict[str, Any]]:
     chunks = _chunks(frames)
     inputs = _inputs(flight, chunks)
     few = frames[: 3 * round(1000 * min(seconds, 3.0))]
-    rounds = [(_cpu_s(lambda: _decoded(chunks)), *_driven(inputs, belief), _udp_mavutil(few)) for _ in range(_REPEATS)]
+    rounds = [
+        (_cpu_s(lambda: _decoded(chunks)), *_pipeline_s(inputs, belief), _udp_mavutil(few)) for _ in range(_REPEATS)
+    ]
     decode, early, late, plan, turn, mavutil_hz = (statistics.median(column) for column in zip(*rounds, strict=True))
     decode, settled = decode / seconds, seconds - SETTLE_S
     mavutil = mavutil_hz / 3000.0
@@ -166,7 +168,7 @@ def _chunks(frames: list[bytes]) -> list[RawChunk]:
 
 
 def _inputs(flight: Flight, chunks: list[RawChunk]) -> list[Record]:
-    """Inputs of the pipeline: decoded samples, answered exchanges and ticks, in order of time."""
+    """Inputs of the pipeline: decoded samples, completed exchanges and ticks, in order of time."""
     decoder = Decoder(_airframe(), 191)
     inputs: list[tuple[int, Record]] = []
     for chunk in chunks:
@@ -206,7 +208,7 @@ class _TimedScheduling:
         return outputs
 
 
-def _driven(inputs: Iterable[Record], belief: Airframe) -> tuple[float, float, float, float]:
+def _pipeline_s(inputs: Iterable[Record], belief: Airframe) -> tuple[float, float, float, float]:
     """Processor time until the pipeline has settled, after that, of planning after that, and of a turn (99 % below)."""
     state = start(belief, Settings())
     assert state.scheduling is not None

@@ -14,9 +14,9 @@ of toe), and share inside 1, 2, 3 sigma. wrong: published ranges of the whole fl
 from the true depth of their features, and by more than 20 %. axis: those off by more than 5 sigma and 5 % from the
 first surface that the range axis meets, where it meets one: features lie beside the axis, 5 m apart from 80 m. peers:
 rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer over the same shots, and of the
-estimator itself on the same flights without vibration and warm-up, told the sensors' noise (the reference). constants:
-those that the tracker estimates, at the end of each flight, error over sigma: mean, rms, and share inside 3 sigma in
-all flights and by world.
+estimator itself on the same flights without vibration and warm-up, with the true noise of the sensors (the reference).
+constants: those that the tracker estimates, at the end of each flight, error over sigma: mean, rms, and share inside 3
+sigma in all flights and by world.
 """
 
 from __future__ import annotations

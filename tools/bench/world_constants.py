@@ -19,7 +19,7 @@ _MISALIGNMENTS = ("mx", "my", "mz")
 
 
 def constants(tracker: WingTracker, believed: Airframe, real: TruthAirframe) -> dict[str, list[float]]:
-    """Estimate, sigma and truth of every constant that the tips' samples tell of, by name, SI units."""
+    """Estimate, sigma and truth of every constant that is observable by the tips' samples, by name, SI units."""
     wing, actual = believed.wing, real.actual.wing
     deviations = {f"slope.{name}": (mode.slope_factor_radpm, actual.modes[name].slope_factor_radpm)
                   for name, mode in wing.modes.items()}  # fmt: skip

@@ -98,7 +98,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     stamped = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
     inputs = list(_too_fast(_lying(in_order(flight, stamped), row.accident), row.accident))
     lands_s = flight.plan.rolls_on_ground[1].from_s if flight.plan.rolls_on_ground else flight.duration_s
-    outputs, learned = _driven(flight, inputs, HOST_EPOCH_NS + round(lands_s * _S) - _TICK_NS)
+    outputs, learned = _outputs(flight, inputs, HOST_EPOCH_NS + round(lands_s * _S) - _TICK_NS)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
     peers = peer_toes(flight.airframe, inputs, [entry[:2] for entry in judged], outputs.matches)
@@ -156,7 +156,7 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
             entry.sigma_m, float(entry.trusted), geometry.true_range_m(matches)]  # fmt: skip
 
 
-def _driven(flight: Flight, inputs: list[Record], lands_ns: int) -> tuple[PipelineOutputs, dict[str, list[float]]]:
+def _outputs(flight: Flight, inputs: list[Record], lands_ns: int) -> tuple[PipelineOutputs, dict[str, list[float]]]:
     """Outputs of the whole pipeline, and the constants as it has them when the flight ends."""
     state = start(flight.airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
     records: list[Record] = []

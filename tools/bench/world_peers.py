@@ -95,12 +95,12 @@ def tilt_filter(tips: tuple[Floats, Floats]) -> Floats:
     out = np.empty(len(rate))
     toe, bias, before = float(tilt[0]), 0.0, float(rate[0])
     slow, slower = _STEP_S / _TILT_S, (_STEP_S / _TILT_S) ** 2 / 4.0
-    for k, (push, shown) in enumerate(zip(rate.tolist(), tilt.tolist(), strict=True)):
-        toe += _STEP_S * (0.5 * (before + push) - bias)
-        error = shown - toe
+    for k, (rate_radps, tilt_rad) in enumerate(zip(rate.tolist(), tilt.tolist(), strict=True)):
+        toe += _STEP_S * (0.5 * (before + rate_radps) - bias)
+        error = tilt_rad - toe
         toe += slow * error
         bias -= slower / _STEP_S * error
-        out[k], before = toe, push
+        out[k], before = toe, rate_radps
     return out
 
 

@@ -52,7 +52,7 @@ ON_GROUND = Accident("ground roll, take-off, landing", circuit=True)
 class CampaignRow:
     """One row of the table; a flight's seed follows from the row and its number.
 
-    A ``reference`` flies as its world's row does, but without vibration and warm-up, and is told the sensors' noise.
+    A ``reference`` flies as its world's row does, but without vibration and warm-up, and knows the sensors' true noise.
     """
 
     world: str

@@ -1,6 +1,6 @@
 """Blind trials: what is hidden, and the tables that a laboratory would have recorded. Imports nothing of Spanwise.
 
-A trial's label is sealed: only its hash is told before the diagnosis has answered.
+A trial's label is sealed: only its hash is published before the diagnosis is made.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
         else:
             sign = 1.0 if name in ONE_WAY else rng.choice((-1.0, 1.0))
             size = float(sign * sigma_of(name, snr_db, loudness) * rng.uniform(*strength))
-            # a damping ratio is told in its logarithm
+            # a damping ratio is stated by its logarithm
             effects[name] = float(np.expm1(size)) if name == "damping-shift" else size
     extra = {
         "second-mode.frequency_hz": rng.uniform(12.0, 35.0),
@@ -80,7 +80,7 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
 
 @dataclass(frozen=True)
 class Hidden:
-    """Effects that a trial hides: names with magnitudes, and the seal that is told beforehand."""
+    """Effects that a trial hides: names with magnitudes, and the seal that is published beforehand."""
 
     effects: dict[str, float]
     side: int = 1

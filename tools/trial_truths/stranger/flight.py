@@ -68,16 +68,16 @@ def fly(
     wander += effects.get("covariate-frequency", 0.0) * roller + effects.get("airspeed-dependence", 0.0) * air
     thick = 1.0 + _AIR_DAMPING * effects.get("airspeed-dependence", 0.0) * air
     laws = _laws(effects, extra, omega[0], duration_s)
-    path, pull = advance(plant, laws, load, wander**2, thick, dt, -RUN_IN_S)
+    path, accel = advance(plant, laws, load, wander**2, thick, dt, -RUN_IN_S)
     begun = t_s >= -0.25
-    path, pull = path[:, begun], pull[:, begun]
+    path, accel = path[:, begun], accel[:, begun]
     participation, steep = _further(effects)
-    q, a = path[:-1], pull[:-1]
+    q, a = path[:-1], accel[:-1]
     slope = slow["slope"] * (design.slope_radpm @ q) + participation * steep * path[-1]
     slope += slow["slope"] * design.slope_radpm[:, :1] * slow["trim_m"]
     lifted = design.tip + design.heave  # roll_rate has the roll of the fuselage, which tilts the tips along
     return Motion(
-        t_s[begun], design.tip @ q, lifted @ a + participation * pull[-1], slope, factor[begun], design.heave @ a,
+        t_s[begun], design.tip @ q, lifted @ a + participation * accel[-1], slope, factor[begun], design.heave @ a,
         roll[begun] - design.roll_radpm @ (np.gradient(q, dt, axis=1)), side[begun], roller[begun],
         18.0 + SPEED_RMS_MPS * air[begun],
     )  # fmt: skip

@@ -72,7 +72,7 @@ def _advance(plant: Any, laws: Any, load: Any, stiffer: Any, thicker: Any, dt: f
     """
     n, count = len(plant.spring), load.shape[1]
     q, v, f = np.zeros(n), np.zeros(n), np.zeros(n)
-    path, pull = np.zeros((n + 1, count)), np.zeros((n + 1, count))
+    path, accel = np.zeros((n + 1, count)), np.zeros((n + 1, count))
     held = np.zeros((2, SLIPPERS))
     q2, v2 = 0.0, 0.0
     k1 = plant.spring[0]
@@ -116,7 +116,7 @@ def _advance(plant: Any, laws: Any, load: Any, stiffer: Any, thicker: Any, dt: f
                     force -= laws.drag_along * q2
                 if stage == 0:
                     f[r] = force
-                    pull[r, i] = force - plant.spring[r] * q[r] - plant.drag[r] * v[r]
+                    accel[r, i] = force - plant.spring[r] * q[r] - plant.drag[r] * v[r]
                     path[r, i] = q[r]
                 else:
                     f[r] = 0.5 * (f[r] + force)
@@ -131,10 +131,10 @@ def _advance(plant: Any, laws: Any, load: Any, stiffer: Any, thicker: Any, dt: f
         if omega2 > 0.0:
             # half implicit: first the speed, then the place
             a2 = load[n, i] - omega2**2 * q2 - 2.0 * decay2 * v2 - laws.drag_along * path[0, i]
-            path[n, i], pull[n, i] = q2, a2
+            path[n, i], accel[n, i] = q2, a2
             v2 += dt * a2
             q2 += dt * v2
-    return path, pull
+    return path, accel
 
 
 advance = _compiled(_advance)
