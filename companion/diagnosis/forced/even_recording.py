@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import medfilt
 
-from companion.diagnosis.clipping import is_clipped
+from companion.diagnosis.channel_defects import is_clipped, wild_samples
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
@@ -16,8 +15,6 @@ _LOST = 1.6  # usual steps, from which a row is missing (choice)
 _GAP = 3.5  # usual steps, from which a step is a gap: a spline follows the band across two lost rows (choice)
 _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
-_SPIKE, _SPIKY = 5, 12.0  # chosen: samples of a median; median steps from it, beyond which a sample is wild
-_AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +46,7 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
     lost = np.zeros(count, dtype=np.bool_)
     for k in gaps:
         lost |= (even_s > t_s[k]) & (even_s < t_s[k + 1])
-    wild = _wild(response)
+    wild = wild_samples(response)
     many, gone, notes = int(np.count_nonzero(wild)), int(np.count_nonzero((ratio > _LOST) & (ratio <= _GAP))), []
     if gone:
         notes.append(f"{name}: rows are lost at {gone} places, which splines bridge")
@@ -67,11 +64,3 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
         for at_s, values in ((t_s, force), (t_s[~wild], response[~wild]))
     )
     return EvenRecording((count - 1) / float(t_s[-1] - t_s[0]), even_force, even_response, lost, tuple(notes))
-
-
-def _wild(values: Floats) -> Bools:
-    """Single samples (n,) that lie far from their neighbours."""
-    away = np.abs(values - medfilt(values, _SPIKE))
-    step = np.abs(np.diff(values, prepend=values[0]))
-    usual = np.maximum(medfilt(step, _AROUND), float(np.median(step)))  # a sweep is calm before its resonance
-    return np.asarray(away > _SPIKY * usual)

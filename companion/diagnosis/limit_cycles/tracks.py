@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import medfilt
 
-from companion.diagnosis.clipping import is_clipped
+from companion.diagnosis.channel_defects import SPIKE, is_clipped, wild_samples
 from companion.errors import RecordingError
 from companion.records import Floats
 
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
-_SPIKE = 5  # samples of the median that a single wild sample does not pass (choice)
-_SPIKY = 12.0  # times the median step: a spike, no vibration (choice)
 _UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
 _STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle (choice)
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
@@ -125,10 +123,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
 
 def _clean(values: Floats) -> Floats:
     """The channel about its median, wild single samples replaced by their neighbours' median."""
-    smooth = medfilt(values, _SPIKE)
-    step = np.abs(values - smooth)
-    wild = step > _SPIKY * max(float(np.median(np.abs(np.diff(values)))), 1e-300)
-    return np.asarray(np.where(wild, smooth, values) - np.median(values))
+    return np.asarray(np.where(wild_samples(values), medfilt(values, SPIKE), values) - np.median(values))
 
 
 def _cycles(values: Floats, rate_hz: float, centre_hz: float) -> bool:

@@ -1,13 +1,20 @@
-"""Whether a channel of a bench recording is clipped, by its samples alone: its sensor's range is not stated there."""
+"""Defects of a channel of a bench recording by its samples alone: whether it is clipped, and single wild samples."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import medfilt
 
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 _PILED = 0.005  # share of samples at the largest or smallest value, from which they may be clipped (choice)
+_SPIKY = 12.0  # median steps from the median of neighbours, beyond which a sample is wild (choice)
+_AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
 _STEEP = 6.0  # chosen: times the samples of the next value; of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4
+
+
+SPIKE = 5
+"""Samples of a median that a single wild one does not pass (choice)."""
 
 
 def is_clipped(values: Floats) -> bool:
@@ -23,3 +30,12 @@ def is_clipped(values: Floats) -> bool:
         if piles.sum() - piles.max(initial=0) > max(_PILED * len(values), _STEEP * following.sum()):
             return True
     return False
+
+
+def wild_samples(values: Floats) -> Bools:
+    """Single samples (n,) that lie far from their neighbours."""
+    distance = np.abs(values - medfilt(values, SPIKE))
+    step = np.abs(np.diff(values, prepend=values[0]))
+    around = min(_AROUND, len(values) - 1 + len(values) % 2)  # odd
+    usual = np.maximum(medfilt(step, around), float(np.median(step)))  # a vibration may be calm most of the time
+    return np.asarray(distance > _SPIKY * usual)

@@ -1,11 +1,11 @@
-"""One rule of clipping for forced oscillators and limit cycles."""
+"""One rule of clipping, and one of wild samples, for forced oscillators and limit cycles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from companion.diagnosis.clipping import is_clipped
+from companion.diagnosis.channel_defects import is_clipped, wild_samples
 from companion.diagnosis.forced.even_recording import evenly
 from companion.diagnosis.limit_cycles.tracks import RawVibration, track
 from companion.errors import RecordingError
@@ -44,3 +44,17 @@ def test_both_kinds_of_recording_judge_clipping_alike(name: str) -> None:
             track(raw, (1.5, 4.5))
     else:
         assert np.median(track(raw, (1.5, 4.5)).frequency_hz) == pytest.approx(TONE_HZ, rel=0.01)
+
+
+@pytest.mark.parametrize("samples_per_period", [6, 20])
+def test_a_limit_cycle_after_a_long_calm_is_not_wild(samples_per_period: int) -> None:
+    """Its peaks were wild by the median step of all samples: it was 2.5 % too small, or was no limit cycle."""
+    frequency_hz = 1.003 * RATE_HZ / samples_per_period
+    t_s = np.arange(400 * samples_per_period) / RATE_HZ
+    grown: Floats = np.clip((t_s - 0.7 * t_s[-1]) * frequency_hz / 10.0, 0.0, 1.0)  # in ten periods
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(t_s))
+    values = grown * np.sin(2.0 * np.pi * frequency_hz * t_s) + noise
+    values[50] += 5.0
+    assert np.flatnonzero(wild_samples(values)).tolist() == [50]
+    followed = track(RawVibration("run", t_s, {"heave": values}, None), (0.7 * frequency_hz, 1.3 * frequency_hz))
+    assert np.median(followed.amplitude["heave"][followed.steady]) == pytest.approx(1.0, rel=0.002)
