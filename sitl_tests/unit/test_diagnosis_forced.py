@@ -288,6 +288,18 @@ def test_a_tone_alone_tells_no_law(noise: float) -> None:
         diagnose_forced([tone], (5.0, 190.0), 3, lambda _what, _ratio: None)
 
 
+def test_a_segment_without_force_does_not_make_it_one_tone(hardening: ForcedRecording) -> None:
+    """A recorder that began before the shaker had a segment without bins: the force was refused as a single tone."""
+    before = np.arange(COUNT) < COUNT // 6
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(COUNT)
+    late = dataclasses.replace(
+        hardening, force=np.where(before, 0.0, hardening.force), response=np.where(before, noise, hardening.response)
+    )
+    plain = as_json(diagnose_forced([late], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert plain["causes"][0]["name"] == "cubic-stiffness"
+    assert plain["causes"][0]["parameters"]["coefficient"]["value"] == pytest.approx(4.0, abs=0.02)
+
+
 def test_tones_one_after_the_other_tell_mass_from_spring() -> None:
     tones = [tone_of(hz, 1e-3) for hz in (20.0, 35.0, 50.0, 80.0)]
     judged = as_json(diagnose_forced(tones, (5.0, 190.0), 3, lambda _what, _ratio: None))

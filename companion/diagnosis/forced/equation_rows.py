@@ -96,7 +96,8 @@ def equation_rows(
     table, omega, kinds_of, block, motion = (
         np.concatenate(each, axis=-1) for each in (tables, omegas, kinds, blocks, motions)
     )
-    _check_spread(np.abs(table[0]) ** 2, omega, max(float(np.min(np.diff(each), initial=np.inf)) for each in omegas))
+    bins_radps = [float(np.diff(each).min()) for each in omegas if len(each) > 1]  # without force none
+    _check_spread(np.abs(table[0]) ** 2, omega, max(bins_radps, default=np.inf))
     return EquationRows(table, omega, kinds_of, block, motion, power)
 
 

@@ -215,7 +215,12 @@ def _log_likelihood(rows: EquationRows, delay_s: float) -> float:
     force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
     columns, _, weight, _ = _weighted(rows, delay_s)
     left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
-    return float(-0.5 * len(force) * np.log(np.mean((left / weight) ** 2)) - np.log(weight).sum())
+    return _profile_log_likelihood(left, weight)
+
+
+def _profile_log_likelihood(residual: Floats, weight: Floats) -> float:
+    """Log likelihood of normal residuals (n,) with relative standard deviations (n,), at its best common factor."""
+    return float(-0.5 * len(residual) * np.log(np.mean((residual / weight) ** 2)) - np.log(weight).sum())
 
 
 def _weighted(rows: EquationRows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:
@@ -249,6 +254,5 @@ def _weight(rows: EquationRows, force: Floats, columns: Floats, scale: Floats) -
 
 def _beside_noise_of_force(weight: Floats, residual: Floats) -> Floats:
     """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) most likely."""
-    together = [np.hypot(weight, ratio) for ratio in _FORCE_NOISES]
-    each = [-0.5 * len(residual) * np.log(np.mean((residual / w) ** 2)) - np.log(w).sum() for w in together]
-    return np.asarray(together[int(np.argmax(each))])
+    together = (np.hypot(weight, ratio) for ratio in _FORCE_NOISES)
+    return max(together, key=lambda each: _profile_log_likelihood(residual, each))
