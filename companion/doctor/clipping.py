@@ -15,7 +15,7 @@ def check_clipping(evidence: Evidence) -> Iterator[Finding]:
     for station, (clipped, total) in sorted(evidence.clipped.items()):
         if clipped:
             bad = clipped > MOST_SHARE * total
-            text = f"{station.name.lower()}: {100 * clipped / total:.2g} % of the samples are at the sensor's limit"
+            text = f"{station.name.lower()}: {100 * clipped / total:.3g} % of the samples are at the sensor's limit"
             text += f", above {100 * MOST_SHARE:.0f} % no range is trusted: {_REMEDY}" if bad else f"; {_REMEDY}"
             yield Finding("clipping", FindingLevel.FIX if bad else FindingLevel.NOTE, text)
     if len(evidence.autopilot_clips) > 1 and (clips := evidence.autopilot_clips[-1] - evidence.autopilot_clips[0]) > 0:

@@ -27,9 +27,10 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(_SUBJECT, FindingLevel.FIX, text)
         return
     rate_hz = pilot.count / evidence.seconds if evidence.seconds else 0.0
-    name = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(pilot.autopilot, "")
+    names = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: " ArduPilot", mavlink.MAV_AUTOPILOT_PX4: " PX4"}
+    name = names.get(pilot.autopilot, "")
     slow = evidence.live and rate_hz < _LEAST_BEATS_HZ
-    text = f"autopilot {evidence.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
+    text = f"autopilot {evidence.system}/1{name} beats at {rate_hz:.1f} Hz" + (
         ": frames are lost on the way, or a simulated vehicle's computer is too busy" if slow else ""
     )
     yield Finding("heartbeat", FindingLevel.FIX if slow else FindingLevel.OK, text)

@@ -265,7 +265,12 @@ def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_
     assert ("axes" in said and "never come" in said) is (axes is not Axis.ALL)
 
 
-@pytest.mark.parametrize(("every", "level"), [(0, None), (50, "note"), (4, "FIX")])
+def test_an_autopilot_of_another_make_is_named_by_its_ids() -> None:
+    strange = evidence_of(beats={(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_GENERIC, 10)})
+    assert "autopilot 1/1 beats at 1.0 Hz" in texts(strange, doctor.check_link)
+
+
+@pytest.mark.parametrize(("every", "level"), [(0, None), (50, "note"), (4, "FIX"), (1, "FIX")])
 def test_samples_at_the_limit_are_told_by_station_with_the_remedy(every: int, level: str | None) -> None:
     values = np.zeros((1000, 6))
     values[:, 2] = -9.8
@@ -283,7 +288,7 @@ def test_samples_at_the_limit_are_told_by_station_with_the_remedy(every: int, le
     if level is None:
         assert said == ""
     else:
-        assert said.startswith(f"{level} left: {100 / every:.2g} % of the samples are at the sensor's limit")
+        assert said.startswith(f"{level} left: {100 / every:g} % of the samples are at the sensor's limit")
         assert ("no range is trusted" in said) is (level == "FIX")
         assert "right" not in said
 
