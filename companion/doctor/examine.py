@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.decode.message_records import Heard, parameter_value
@@ -25,6 +26,7 @@ from companion.records import (
     ClockName,
     ClockRestart,
     ImuBatch,
+    Ints,
     MatchSet,
     RawChunk,
     Record,
@@ -170,7 +172,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     recording = open_recording(path, airframe)
     evidence = Evidence(airframe, settings, live=False)
     decoder = Decoder(airframe, settings.component_id, settings.system_id)
-    spans: dict[Station, list[int]] = {}
+    spans: dict[Station, _Span] = {}
     raw = isinstance(recording, TlogRecording)
     records = recording.chunks() if isinstance(recording, TlogRecording) else recording.records()
     first_ns = last_ns = None
@@ -178,7 +180,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     for record in records:
         findings: list[Record] = [record]
         if isinstance(record, RawChunk):
-            first_ns, last_ns = first_ns or record.received_host_ns, record.received_host_ns
+            first_ns, last_ns = record.received_host_ns if first_ns is None else first_ns, record.received_host_ns
             decoded = decoder.decode(record)
             for heard in decoded.heard:
                 note(evidence, heard, decoder.system_id)
@@ -190,19 +192,32 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
             _follow_time(evidence, clocks, entry)
     evidence.system = decoder.system_id
     evidence.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
-    for station, (count, start_ns, end_ns) in spans.items():
-        if end_ns > start_ns:
-            evidence.rate_hz[station] = (count - 1) * 1e9 / (end_ns - start_ns)
+    evidence.rate_hz = {
+        station: span.steps * 1e9 / span.duration_ns for station, span in spans.items() if span.duration_ns
+    }
     return evidence
 
 
-def _count(evidence: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
+class _Span(NamedTuple):
+    """Steps of a station's stamps and the time that they took; a step back, of a clock that began anew, is none."""
+
+    steps: int = 0
+    duration_ns: int = 0
+    last_ns: int | None = None
+
+    def extended(self, t_ns: Ints) -> _Span:
+        """The span with further stamps (n,)."""
+        first, last = int(t_ns[0]), int(t_ns[-1])
+        if self.last_ns is None or first <= self.last_ns:
+            return _Span(self.steps + len(t_ns) - 1, self.duration_ns + last - first, last)
+        return _Span(self.steps + len(t_ns), self.duration_ns + last - self.last_ns, last)
+
+
+def _count(evidence: Evidence, spans: dict[Station, _Span], record: Record) -> None:
     evidence.plan_outcomes.take(record)
     if isinstance(record, ImuBatch) and len(record.t_ns):
         evidence.count_samples(record)
-        span = spans.setdefault(record.station, [0, int(record.t_ns[0]), 0])
-        span[0] += len(record.t_ns)
-        span[2] = int(record.t_ns[-1])
+        spans[record.station] = spans.get(record.station, _Span()).extended(record.t_ns)
     elif isinstance(record, AutopilotParameter):
         evidence.parameters[record.name] = record.value
     elif isinstance(record, Shot):

@@ -265,6 +265,24 @@ def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_
     assert ("axes" in said and "never come" in said) is (axes is not Axis.ALL)
 
 
+@pytest.mark.parametrize("begins_s", [(0.0,), (0.0, 1.0), (7.0, 0.2), (7.0, 0.2, 0.1)])
+def test_the_rate_of_a_log_is_that_between_restarts_of_the_clock(
+    begins_s: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A station whose clock began anew, and did not reach its first stamp again, was silent."""
+    values = np.tile([0.0, 0.0, -9.8, 0.0, 0.0, 0.0], (250, 1))
+    stamps = [round(begin_s * 1e9) + MS * np.arange(1000, dtype=np.int64) for begin_s in begins_s]
+    batches = [
+        ImuBatch(Station.LEFT, ClockName.BOOT, part_ns, values, Axis.ALL, 0)
+        for t_ns in stamps
+        for part_ns in np.split(t_ns, 4)
+    ]
+    recording = argparse.Namespace(records=lambda: iter(batches))
+    monkeypatch.setattr("companion.doctor.examine.open_recording", lambda _path, _airframe: recording)
+    evidence = read_log(Path("log.BIN"), AIRFRAME, Settings())
+    assert evidence.rate_hz == pytest.approx({Station.LEFT: 1000.0})
+
+
 def test_an_autopilot_of_another_make_is_named_by_its_ids() -> None:
     strange = evidence_of(beats={(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_GENERIC, 10)})
     assert "autopilot 1/1 beats at 1.0 Hz" in texts(strange, doctor.check_link)
