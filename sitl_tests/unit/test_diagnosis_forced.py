@@ -226,6 +226,16 @@ def test_a_bias_that_is_too_large_to_be_taken_off_is_noted(ratio: float, noted: 
     assert (plain["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.01)) == (not noted)
 
 
+@pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (1.0, True)])
+def test_an_equation_that_leaves_most_of_the_force_is_noted(ratio: float, noted: bool) -> None:
+    """With noise as large as the response, a stiffness of 0.07 instead of 1 was adequate without a word."""
+    entry = driven(1, 0.0)
+    noise = ratio * entry.response.std() * np.random.default_rng(8).standard_normal(COUNT)
+    noisy = dataclasses.replace(entry, response=entry.response + noise)
+    plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert any("% of the force: the response is noise" in note for note in plain["notes"]) == noted
+
+
 @pytest.mark.parametrize(("added", "moved"), [(0.4, 1.0 / 0.6 - 1.0), (0.6, 0.0)])
 def test_the_noise_of_one_column_shifts_its_coefficient_up_to_half(added: float, moved: float) -> None:
     """(A - B) theta = A theta_LS with A = 1 and theta_LS = 1."""

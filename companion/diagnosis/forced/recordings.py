@@ -26,7 +26,7 @@ from companion.diagnosis.forced.equation_rows import (
     refuse_integrated_noise,
 )
 from companion.diagnosis.forced.even_recording import EvenRecording, evenly
-from companion.diagnosis.forced.force_delay import least_error, real_rows
+from companion.diagnosis.forced.force_delay import error_ratio, least_error, real_rows
 from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
 from companion.diagnosis.forced.response_kind import ResponseKind, another_kind
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
@@ -49,6 +49,7 @@ _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m 
 _DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln 33 for the places where it is sought
 _DELAY = "delay of the force"
 _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows of the longest delay (choice)
+_MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 
@@ -142,6 +143,12 @@ def diagnose_forced(
             f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
             f"{abs(delay_s + rest_s) / step_s:.2f} rows: removed; look for filters or clocks that differ",
         )
+    error = error_ratio(rows.table[0], rows.table[1:], rows.omega, delay_s)
+    if error > _MOST_ERROR:
+        notes += (
+            f"the equation leaves {100.0 * error:.0f} % of the force: the response is noise for the most part, or has "
+            "another cause; do not trust its coefficients",
+        )
     added = added_by_noise(omega, np.tile(rows.kind, 2), rows.slopes, variance, scale)
     late_too = np.pad(added, ((0, 1), (0, 1)))
     white = np.concatenate([columns, late[None, :]]) / weight
@@ -149,8 +156,8 @@ def diagnose_forced(
     diagnosis = ForcedDiagnosis(outcome, tuple(recordings), scale, noise, notes)
     if {"mass", "stiffness"} <= set(diagnosis.negative()):
         raise RecordingError(
-            "mass and stiffness come out negative: force and response have opposite signs (turn one in the mapping), "
-            "or the response is an acceleration (name its channel response_<what>_mps2)"
+            "mass and stiffness come out negative: force and response have opposite signs (change the sign of one in "
+            "the mapping), or the response is an acceleration (name its channel response_<what>_mps2)"
         )
     return diagnosis
 
