@@ -10,7 +10,14 @@ import pytest
 from companion.diagnosis.modal_tests.frequency_changes import disagreement
 from companion.diagnosis.modal_tests.json_report import as_json
 from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
-from companion.diagnosis.modal_tests.vibration import ModeOverRuns, VibrationRun, mode_of, modes_of_runs, responses
+from companion.diagnosis.modal_tests.vibration import (
+    ModeOfRun,
+    ModeOverRuns,
+    VibrationRun,
+    mode_of,
+    modes_of_runs,
+    responses,
+)
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.errors import RecordingError
 from companion.evaluation.pages import measured_pages
@@ -85,6 +92,22 @@ def test_equal_runs_are_adequate() -> None:
     verdict, plain = judge([9.2] * 6, [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
     assert verdict is DiagnosisVerdict.ADEQUATE
     assert plain["causes"] == []
+
+
+@pytest.mark.parametrize(
+    ("frequencies_hz", "sigma_hz", "reason"),
+    [
+        ([9.2, 9.4, 9.3], 0.2, "the frequencies differ between 3 runs by 2.2 % at most, no more than by chance"),
+        ([9.2, 9.201, 9.2], 1e-5, "every frequency is the same in all 3 runs, to 0.2 %"),
+    ],
+)
+def test_frequencies_that_differ_by_chance_are_not_called_the_same(
+    frequencies_hz: list[float], sigma_hz: float, reason: str
+) -> None:
+    """Runs whose frequencies were 2 % apart, with sigmas as large, were 'the same to 0.2 %'."""
+    mode = ModeOverRuns(("1", "2", "3"), tuple(ModeOfRun(f_hz, sigma_hz, 0.01, 0.001, 0.1) for f_hz in frequencies_hz))
+    diagnosis = diagnose_modal_test([mode], [{}, {}, {}], lambda _what, _ratio: None)
+    assert as_json(diagnosis, ["1", "2", "3"], None)["reason"] == reason
 
 
 def test_a_single_run_is_not_identifiable() -> None:

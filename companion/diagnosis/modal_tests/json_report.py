@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.diagnosis.json_rows import cause_head, checks, failures, held_out_gain, quantity
 from companion.diagnosis.modal_tests.frequency_changes import NOTABLE_CHANGE, ORDER, ChangedMode
@@ -47,7 +49,10 @@ def _reason(diagnosis: ModalTestDiagnosis) -> str:
         runs = len(diagnosis.modes[0].runs)
         if runs < 2:
             return ONE_RUN
-        return f"every frequency is the same in all {runs} runs, to {100 * NOTABLE_CHANGE:g} %"
+        widest = max(float(np.ptp(mode.frequency_hz)) / mode.near_hz for mode in diagnosis.modes)
+        if widest < NOTABLE_CHANGE:
+            return f"every frequency is the same in all {runs} runs, to {100 * NOTABLE_CHANGE:g} %"
+        return f"the frequencies differ between {runs} runs by {100 * widest:.2g} % at most, no more than by chance"
     leading = diagnosis.changed[0]
     change = _change_in_words(leading)
     match diagnosis.outcome.verdict:
