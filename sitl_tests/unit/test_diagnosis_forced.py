@@ -283,6 +283,15 @@ def test_a_cube_about_another_zero_is_told_with_its_zero(hardening: ForcedRecord
     assert stiffness == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.parametrize(("offset", "noted"), [(3.0, False), (30.0, True)])
+def test_a_response_far_from_zero_is_noted(hardening: ForcedRecording, offset: float, noted: bool) -> None:
+    """With the stand-off of a sensor in it, a cubic spring was unexplained without a hint."""
+    far = dataclasses.replace(hardening, response=hardening.response + offset * hardening.response.std())
+    plain = as_json(diagnose_forced([far], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert any("subtract its value at rest" in note for note in plain["notes"]) == noted
+    assert (plain["verdict"] == "explained") == (not noted)
+
+
 def test_a_negative_damping_is_noted(hardening: ForcedRecording) -> None:
     """Backward in time a damper drives."""
     backward = dataclasses.replace(hardening, force=hardening.force[::-1], response=hardening.response[::-1])

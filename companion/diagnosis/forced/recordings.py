@@ -50,6 +50,7 @@ _DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln
 _DELAY = "delay of the force"
 _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows of the longest delay (choice)
 _MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
+_FAR_FROM_ZERO = 5.0  # chosen, standard deviations of the response: a cube was explained at 5, not so at 10
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 
@@ -134,7 +135,7 @@ def diagnose_forced(
         RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
     ]
-    notes = tuple(note for even in grids for note in even.notes)
+    notes = (*(note for even in grids for note in even.notes), *_offsets(recordings))
     outcome = diagnose(Regressions([response], terms), most, progress)
     if delay_s:
         rest_s, sigma_s = outcome.final.value(_DELAY)
@@ -160,6 +161,18 @@ def diagnose_forced(
             "the mapping), or the response is an acceleration (name its channel response_<what>_mps2)"
         )
     return diagnosis
+
+
+def _offsets(recordings: Sequence[ForcedRecording]) -> list[str]:
+    """Displacements that stay so far from zero that the powers in the laws are straight lines there."""
+    displaced = [entry for entry in recordings if entry.kind is ResponseKind.DISPLACEMENT]
+    away = {entry.name: abs(float(np.mean(entry.response) / np.std(entry.response))) for entry in displaced}
+    return [
+        f"{name}: the response is {ratio:.3g} times its standard deviation from 0, where a square or a cube is a "
+        "straight line: subtract its value at rest, or no law shows"
+        for name, ratio in away.items()
+        if ratio > _FAR_FROM_ZERO
+    ]
 
 
 def _common_rate_hz(recordings: Sequence[ForcedRecording], grids: Sequence[EvenRecording]) -> float:
