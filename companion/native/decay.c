@@ -7,7 +7,7 @@
 
 /* Steps of that file. */
 typedef struct {
-    const array *transition, *process_noise, *H, *cross_covariance, *noise;
+    const array *transition, *process_noise, *H, *cross_covariance, *noise, *start;
 } steps_record;
 
 typedef struct {
@@ -40,9 +40,9 @@ static void step(filters *f, int64_t t, int64_t b, double y, double *innovation,
     *variance = s;
 }
 
-/* Innovations and their variances (t, b) and states (t, b, n) of readings y (t, b); at first the covariance is `at_rest`
- * times the reading's noise. */
-EXPORT int64_t decay_filter(const steps_record *steps, const array *y_in, double at_rest, const array *innovation_out,
+/* Innovations and their variances (t, b) and states (t, b, n) of readings y (t, b); at first the state is 0 with the
+ * variances `start`. */
+EXPORT int64_t decay_filter(const steps_record *steps, const array *y_in, const array *innovation_out,
                             const array *variance_out, const array *state_out)
 {
     bool good = true;
@@ -51,7 +51,7 @@ EXPORT int64_t decay_filter(const steps_record *steps, const array *y_in, double
                  .H = reals(steps->H, 3, &good),
                  .cross_covariance = reals(steps->cross_covariance, 3, &good),
                  .noise = reals(steps->noise, 2, &good)};
-    const double *y = reals(y_in, 2, &good);
+    const double *y = reals(y_in, 2, &good), *start = reals(steps->start, 2, &good);
     double *innovation = reals(innovation_out, 2, &good), *variance = reals(variance_out, 2, &good);
     double *state = reals(state_out, 3, &good);
     if (!good)
@@ -64,7 +64,8 @@ EXPORT int64_t decay_filter(const steps_record *steps, const array *y_in, double
     for (size_t k = 0; k < sizeof all / sizeof *all; k++)
         if (extent(all[k], 0) < f.count || extent(all[k], 1) != f.batch)
             return BAD_ARRAY;
-    if (extent(steps->transition, 2) != n || extent(steps->transition, 3) != n || extent(state_out, 2) != n)
+    if (extent(steps->transition, 2) != n || extent(steps->transition, 3) != n || extent(state_out, 2) != n ||
+        extent(steps->start, 0) != f.batch || extent(steps->start, 1) != n)
         return BAD_ARRAY;
     f.x = malloc((size_t)(4 * n + 2 * n * n + 1) * sizeof *f.x);
     if (!f.x)
@@ -78,7 +79,7 @@ EXPORT int64_t decay_filter(const steps_record *steps, const array *y_in, double
         memset(f.x, 0, (size_t)n * sizeof *f.x);
         memset(f.p, 0, (size_t)(n * n) * sizeof *f.p);
         for (int64_t i = 0; i < n && f.count; i++)
-            f.p[i * n + i] = at_rest * f.noise[b];
+            f.p[i * n + i] = start[b * n + i];
         for (int64_t t = 0; t < f.count; t++) {
             int64_t at = t * f.batch + b;
             step(&f, t, b, y[at], innovation + at, variance + at);

@@ -66,20 +66,20 @@ def steps_of(seed: int, seconds: float) -> Floats:
 @pytest.mark.parametrize("zeta", [0.002, 0.05, 0.3])
 def test_a_step_of_the_filter_is_the_exact_one(zeta: float) -> None:
     omega, step_s = np.array([[[55.0], [71.0]]]), 1.0 / 40.0
-    modes = Modes(omega, np.full_like(omega, zeta), np.full_like(omega, 3.0), np.ones((1, 2)))
+    modes = Modes(omega, np.full_like(omega, zeta), np.full_like(omega, 3.0), np.ones((1, 2)), np.ones(1), np.ones(1))
     steps = kalman.matrices(modes, step_s)
     for t, w in enumerate(omega[0, :, 0]):
         flow = np.array([[0.0, 63.0], [-(w**2) / 63.0, -2.0 * zeta * w]])  # the reference is the mean
-        np.testing.assert_allclose(steps.transition[t, 0], expm(flow * step_s), atol=1e-12)
+        np.testing.assert_allclose(steps.transition[t, 0, :2, :2], expm(flow * step_s), atol=1e-12)
         # Van Loan: the spread of white load from one matrix exponential
         both = np.zeros((4, 4))
         both[:2, :2], both[2:, 2:], both[1, 3] = -flow, flow.T, 3.0
         exponential = expm(both * step_s)
         spread = exponential[2:, 2:].T @ exponential[:2, 2:]
-        np.testing.assert_allclose(steps.process_noise[t, 0], spread, rtol=1e-9)
+        np.testing.assert_allclose(steps.process_noise[t, 0, :2, :2], spread, rtol=1e-9)
         # a sample is the mean acceleration of its step: (v after - v before) / step
-        np.testing.assert_allclose(steps.H[t, 0], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
-        np.testing.assert_allclose(steps.cross_covariance[t, 0], spread[:, 1] / step_s, rtol=1e-9)
+        np.testing.assert_allclose(steps.H[t, 0, :2], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
+        np.testing.assert_allclose(steps.cross_covariance[t, 0, :2], spread[:, 1] / step_s, rtol=1e-9)
         assert steps.variance[t, 0] == pytest.approx(spread[1, 1] / step_s**2 + 1.0)
 
 
@@ -91,11 +91,13 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
         np.full((4, 60, 2), 0.02),
         rng.uniform(0.1, 1.0, (4, 60, 2)),
         np.ones((4, 60)),
+        np.full(4, 2.0),
+        np.full(4, 0.1),
     )
     steps = kalman.matrices(modes, 0.025)
     y = rng.standard_normal((60, 4))
-    compiled, expected = ((np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))) for _ in range(2))
-    kalman._filter(kalman._pack_steps(steps), y, kalman._AT_REST, *compiled)
+    compiled, expected = ((np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 5))) for _ in range(2))
+    kalman._filter(kalman._pack_steps(steps), y, *compiled)
     filter_batch(steps, y, *expected)
     for swept, other in zip(compiled, expected, strict=True):
         np.testing.assert_allclose(swept, other, rtol=1e-7, atol=1e-9)
@@ -108,18 +110,35 @@ def test_innovations_of_the_filter_s_own_data_are_white_and_of_unit_size(omega: 
     rng = np.random.default_rng(seed)
     steps = 2000
     shape = (1, steps, 1)
-    modes = Modes(np.full(shape, omega), np.full(shape, zeta), np.full(shape, 2.0), np.full((1, steps), 0.5))
+    noise = np.full((1, steps), 0.5)
+    modes = Modes(np.full(shape, omega), np.full(shape, zeta), np.full(shape, 2.0), noise, np.ones(1), np.full(1, 0.3))
     step = kalman.matrices(modes, 0.02)
     root = np.linalg.cholesky(step.process_noise[0, 0])
-    x, y = np.zeros(2), np.empty((1, steps))
+    x, y = np.array([0.5, -0.5, 3.0]), np.empty((1, steps))
     for t in range(steps):
-        after = step.transition[t, 0] @ x + root @ rng.standard_normal(2)
-        y[0, t] = (after[1] - x[1]) / 0.02 + rng.normal(0.0, np.sqrt(0.5))
+        after = step.transition[t, 0] @ x + root @ rng.standard_normal(3)
+        y[0, t] = (after[1] - x[1]) / 0.02 + x[2] + rng.normal(0.0, np.sqrt(0.5))
         x = after
     filtered = run(modes, y, 0.02)
     white = filtered.innovation[0, 50:] / np.sqrt(filtered.variance[0, 50:])
     z = judged(Whitened(white, np.ones(white.size, dtype=np.bool_)), rng)
     assert max(abs(value) for value in z.values()) < 5.5, z
+
+
+def test_the_filter_follows_a_decay_from_its_third_sample_on() -> None:
+    omega, step_s, count = 56.5, 1.0 / 42.0, 40
+    flow = expm(np.array([[0.0, 1.0], [-(omega**2), -2.0 * 0.01 * omega]]) * step_s)
+    states = [np.array([0.002, -0.05])]
+    for _ in range(count):
+        states.append(flow @ states[-1])
+    y = np.diff([state[1] for state in states])[None, :] / step_s + 0.7
+    shape = (1, count, 1)
+    noise = np.full((1, count), 1e-8)
+    modes = Modes(
+        np.full(shape, omega), np.full(shape, 0.01), np.full(shape, 1e-12), noise, np.full(1, 50.0), np.zeros(1)
+    )
+    filtered = run(modes, y, step_s)
+    assert np.max(np.abs(filtered.innovation[0, 3:])) < 1e-3 * np.max(np.abs(y))
 
 
 def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:

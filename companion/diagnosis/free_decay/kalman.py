@@ -4,7 +4,8 @@
 
 with u = omega_0 q, m/s; omega and zeta are constant within a step, and the transition over it is exact. An
 accelerometer feels load and spring alike, so a sample is the mean acceleration of its step, y = sum of (v_k - v_(k-1))
-/ step, plus noise. The load drives both state and sample, and the filter has their covariance.
+/ step, plus noise. The load drives both state and sample, and the filter has their covariance. The last state is the
+sensor's zero, which wanders.
 """
 
 from __future__ import annotations
@@ -14,10 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.native.library import ARRAY, REAL, RECORD, kernel, packed
+from companion.native.library import ARRAY, RECORD, kernel, packed
 from companion.records import Floats
-
-_AT_REST = 1e-3  # initial variance over the noise variance: the wing rests before the first impulse (numerical)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +30,35 @@ class Modes:
         Two-sided density of the white load on each mode, (m/s^2)^2 s.
     noise : (b, t)
         Variance of a sample's noise, (m/s^2)^2.
+    start : (b,)
+        Variance of each mode's acceleration and of the sensor's zero before the first sample, (m/s^2)^2.
+    drift : (b,)
+        Variance by which the sensor's zero wanders in a second, (m/s^2)^2/s.
     """
 
     omega_radps: Floats
     zeta: Floats
     load: Floats
     noise: Floats
+    start: Floats
+    drift: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Filtered:
-    """Innovations and their variances (b, t); predictions a few steps ahead (b, t), stamped when they come true."""
+    """Innovations and their variances (b, t); predictions a few steps ahead (b, t), stamped when they come true.
+
+    ``state`` (b, t, n) is that after each step.
+    """
 
     innovation: Floats
     variance: Floats
+    state: Floats
     ahead: Floats | None = None
 
 
 class Steps(NamedTuple):
-    """A batch in matrices: n states, u and v of each mode.
+    """A batch in matrices: n states, u and v of each mode and the sensor's zero.
 
     Attributes
     ----------
@@ -61,6 +70,8 @@ class Steps(NamedTuple):
         Covariance of what the load adds to the state and to the sample.
     variance : (t, b)
         Of the sample given the state before.
+    start : (b, n)
+        Variances of the state before the first sample.
     """
 
     transition: Floats
@@ -68,23 +79,25 @@ class Steps(NamedTuple):
     H: Floats
     cross_covariance: Floats
     variance: Floats
+    start: Floats
 
 
 _pack_steps = packed(Steps)
-_filter = kernel("decay_filter", RECORD, ARRAY, REAL, ARRAY, ARRAY, ARRAY)
+_filter = kernel("decay_filter", RECORD, ARRAY, ARRAY, ARRAY, ARRAY)
 
 
-def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
+def run(modes: Modes, y: Floats, step_s: float | Floats, ahead: int = 0) -> Filtered:
     """Filter ``y`` (b, t) under each hypothesis; with ``ahead`` > 0 also predict so many steps.
 
-    The predictions take frequency and damping as they are when the prediction is made.
+    Steps are of one length or of each hypothesis's, (b,). The predictions take frequency and damping as they are when
+    the prediction is made.
     """
     steps = matrices(modes, step_s)
     count, batch, order = steps.H.shape
     innovation, variance = np.empty((count, batch)), np.empty((count, batch))
     state = np.empty((count, batch, order))
-    _filter(_pack_steps(steps), np.ascontiguousarray(y.T), _AT_REST, innovation, variance, state)
-    return Filtered(innovation.T, variance.T, _ahead(steps, state, ahead) if ahead else None)
+    _filter(_pack_steps(steps), np.ascontiguousarray(y.T), innovation, variance, state)
+    return Filtered(innovation.T, variance.T, state.swapaxes(0, 1), _ahead(steps, state, ahead) if ahead else None)
 
 
 def _ahead(steps: Steps, states: Floats, ahead: int) -> Floats:
@@ -98,16 +111,18 @@ def _ahead(steps: Steps, states: Floats, ahead: int) -> Floats:
     return stamped
 
 
-def matrices(modes: Modes, step_s: float) -> Steps:
-    """Write a batch as matrices."""
+def matrices(modes: Modes, step_s: float | Floats) -> Steps:
+    """Write a batch as matrices; the steps may be those of each hypothesis, (b,)."""
     omega, zeta, load = (
         np.ascontiguousarray(field_of.swapaxes(0, 1)) for field_of in (modes.omega_radps, modes.zeta, modes.load)
     )
     reference = omega.mean(axis=0, keepdims=True)
     count, batch, several = omega.shape
-    transition = np.zeros((count, batch, 2 * several, 2 * several))
+    order = 2 * several + 1
+    transition = np.zeros((count, batch, order, order))
     process_noise = np.zeros_like(transition)
-    H, cross_covariance = np.empty((count, batch, 2 * several)), np.empty((count, batch, 2 * several))
+    H, cross_covariance = np.zeros((count, batch, order)), np.zeros((count, batch, order))
+    start = np.empty((batch, order))
     variance = modes.noise.T.copy()
     for k in range(several):
         u, v = 2 * k, 2 * k + 1
@@ -122,11 +137,15 @@ def matrices(modes: Modes, step_s: float) -> Steps:
             process_noise[:, :, v, v] / step_s,
         )
         variance += process_noise[:, :, v, v] / step_s**2
-    return Steps(transition, process_noise, H, cross_covariance, variance)
+        start[:, u] = start[:, v] = modes.start / reference[0, :, k] ** 2
+    transition[:, :, -1, -1] = H[:, :, -1] = 1.0
+    process_noise[:, :, -1, -1] = modes.drift * step_s
+    start[:, -1] = modes.start
+    return Steps(transition, process_noise, H, cross_covariance, variance, start)
 
 
 def _step(
-    omega: Floats, zeta: Floats, reference: Floats, step_s: float
+    omega: Floats, zeta: Floats, reference: Floats, step_s: float | Floats
 ) -> tuple[tuple[Floats, Floats, Floats, Floats], tuple[Floats, Floats, Floats]]:
     """Transition (uu, uv, vu, vv) of a mode, and covariance (uu, uv, vv) that white load of unit density adds."""
     damped = omega * np.sqrt(1.0 - zeta**2)
@@ -146,7 +165,7 @@ def _step(
 
 
 def _squares(
-    rate: Floats, damped: Floats, fade: Floats, cosine: Floats, sine: Floats, step_s: float
+    rate: Floats, damped: Floats, fade: Floats, cosine: Floats, sine: Floats, step_s: float | Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Integrals over a step of e^(-rate t) times sin^2, sin cos and cos^2 of damped t."""
     both, faded = 2.0 * damped, fade**2

@@ -79,16 +79,25 @@ def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0)
         np.concatenate([_longer(record.zeta, longest) for record in each]),
         np.concatenate([_longer(record.load, longest) for record in each]),
         np.concatenate([_longer(record.noise, longest) for record in each]),
+        np.concatenate([record.start for record in each]),
+        np.concatenate([record.drift for record in each]),
     )
     y = [np.tile(np.pad(record.up_mps2, (0, longest - len(record.t_s))), (len(v), 1))
          for record, v in zip(model.recordings, vectors, strict=True)]  # fmt: skip
-    filtered = run(modes, np.concatenate(y), 1.0 / model.recordings[0].rate_hz, ahead)
+    rows = [len(values) for values in vectors]
+    step_s = np.repeat([1.0 / record.rate_hz for record in model.recordings], rows)
+    filtered = run(modes, np.concatenate(y), step_s, ahead)
     filtered_by_recording, at = [], 0
     for record, values in zip(model.recordings, vectors, strict=True):
-        rows, length = slice(at, at + len(values)), len(record.t_s)
-        predicted = None if filtered.ahead is None else filtered.ahead[rows, :length]
+        row, length = slice(at, at + len(values)), len(record.t_s)
+        predicted = None if filtered.ahead is None else filtered.ahead[row, :length]
         filtered_by_recording.append(
-            Filtered(filtered.innovation[rows, :length], filtered.variance[rows, :length], predicted)
+            Filtered(
+                filtered.innovation[row, :length],
+                filtered.variance[row, :length],
+                filtered.state[row, :length],
+                predicted,
+            )
         )
         at += len(values)
     return filtered_by_recording

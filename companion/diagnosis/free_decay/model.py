@@ -14,7 +14,7 @@ from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_NUISANCES = 3  # nuisances of each recording: impulse to load, noise, impulse to noise (by definition)
+_NUISANCES = 4  # of each recording: impulse to load, noise, impulse to noise, drift (by definition)
 _SLOWEST = 0.2  # of the constant part of the frequency, a bound for the fit
 _ZETA = (1e-5, 0.5)  # numerical: keeps a filter stable and a mode oscillating, far outside any wing's damping
 
@@ -84,7 +84,9 @@ class FreeDecayModel:
             load.append(loudness * np.exp(columns["second log participation"]))
         noise = np.exp(2.0 * columns[f"noise #{recording}"])
         noise = noise + np.exp(2.0 * columns[f"impulse to noise #{recording}"]) * record.leakage_mps2**2
-        return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise)
+        drift = np.exp(2.0 * columns[f"drift #{recording}"][:, 0])
+        start = np.full(len(values), float(np.max(record.up_mps2**2)))
+        return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise, start, drift)
 
     def swing(self, columns: dict[str, Floats], record: FreeDecay) -> Floats:
         """The first mode's frequency over its constant part, (b, t)."""
@@ -111,6 +113,7 @@ class FreeDecayModel:
                 Parameter(f"impulse to load #{k}", -1.0, 3.0),
                 Parameter(f"noise #{k}", quiet, 3.0),
                 Parameter(f"impulse to noise #{k}", -1.0, 2.0),
+                Parameter(f"drift #{k}", quiet, 3.0),
             ]
         return parameters
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.diagnosis.free_decay.kalman import _AT_REST, Steps
+from companion.diagnosis.free_decay.kalman import Steps
 from companion.records import Floats
 
 
 def filter_batch(steps: Steps, y: Floats, innovation: Floats, variance: Floats, state: Floats) -> None:
     """Step by step, all hypotheses at once: numpy's way. Fills the last three, (t, b) and (t, b, n)."""
-    transition, process_noise, H, cross_covariance, noise = steps
+    transition, process_noise, H, cross_covariance, noise, start = steps
     count, batch, order = H.shape
     x, p = np.zeros((batch, order, 1)), np.zeros((batch, order, order))
-    p[:, range(order), range(order)] = _AT_REST * noise[0][:, None]
+    p[:, range(order), range(order)] = start
     h_rows, h_columns, added, transposed = (
         H[:, :, None, :],
         H[..., None],
