@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,11 +10,10 @@ from scipy.linalg import expm
 
 from companion.diagnosis.free_decay import kalman
 from companion.diagnosis.free_decay.adequacy import Whitened, judged
-from companion.diagnosis.free_decay.json_report import as_json, name_of
+from companion.diagnosis.free_decay.json_report import as_json
 from companion.diagnosis.free_decay.kalman import Modes, run
-from companion.diagnosis.free_decay.laws import laws_for
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
-from companion.diagnosis.free_decay.recordings import diagnose
+from companion.diagnosis.free_decay.recordings import FreeDecays, diagnose
 from companion.diagnosis.free_decay.views import backbone
 from companion.errors import RecordingError
 from companion.params.airframe import Uncertain
@@ -194,14 +190,16 @@ def test_a_frequency_that_follows_a_channel_far_is_named_and_a_drift_is_not() ->
     assert "frequency-drift" not in [entry["name"] for entry in plain["causes"]]  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(
-    ("exponent", "name"),
-    [(0.7, "quadratic-damping"), (-0.99, "coulomb-friction"), (0.4, "damping follows the amplitude")],
-)
-def test_a_damping_law_is_named_by_its_exponent(exponent: float, name: str) -> None:
-    (law,) = (entry for entry in laws_for([]) if entry.name == "quadratic-damping")
-    fitted: Any = SimpleNamespace(final=SimpleNamespace(value=lambda _key: (exponent, 0.01)))
-    assert name_of(law, fitted) == name
+def test_the_amplitude_is_that_of_the_deflection_from_the_first_sample_on() -> None:
+    omega, zeta, count = 2.0 * np.pi * 9.0, 0.02, 120
+    t_s = (np.arange(count) + 0.5) / 42.0
+    mode = np.exp((-zeta + 1j * np.sqrt(1.0 - zeta**2)) * omega * t_s)
+    rng = np.random.default_rng(21)
+    up = (-(omega**2) * 0.002 * mode).real + rng.normal(0.0, 1e-3, count)
+    still = np.zeros(count)
+    decays = FreeDecays([FreeDecay("one", 42.0, t_s, up, still, still, {}, np.ones(count))], *BELIEF, BAND_HZ)
+    (record,) = decays.null().state.recordings
+    np.testing.assert_allclose(record.amplitude * record.rms_m, 0.002 * np.abs(mode), rtol=0.02)
 
 
 @pytest.mark.long

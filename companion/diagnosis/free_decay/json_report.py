@@ -26,7 +26,6 @@ from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.score_tests import Candidate
 
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close (choice)
-_EXPONENT_NEAR = 0.5  # chosen: of a damping law's exponent: nearer to that of the pure law than to no dependence
 _ADVICE = {
     CovariateFrequency.name: "vary the channel independently of time and of the other channels",
     FrequencyDrift.name: "a drift in time has a cause that can be measured: record temperature and settings",
@@ -70,17 +69,11 @@ def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe
 
 
 def name_of(term: Extension, diagnosis: FreeDecayDiagnosis) -> str:
-    """Name of an accepted law; of a second mode by how near it comes to the first, of damping by its exponent."""
+    """Name of an accepted law; of a second mode by how near it comes to the first."""
     if isinstance(term, Law):
-        return _damping_name(term, diagnosis) if term.effect == QuadraticDamping.name else term.name
+        return term.name
     apart = min(abs(pair["second_hz"] / pair["first_hz"] - 1.0) for pair in _pairs(diagnosis))
     return CloseMode.name if apart < _CLOSE else SecondMode.name
-
-
-def _damping_name(law: Law, diagnosis: FreeDecayDiagnosis) -> str:
-    exponent, _ = diagnosis.final.value(key_of(law))
-    names = {1.0: QuadraticDamping.name, -1.0: CoulombFriction.name}  # derived: of the damping ratio over amplitude
-    return next((name for exact, name in names.items() if abs(exponent - exact) < _EXPONENT_NEAR), law.key)
 
 
 def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
@@ -145,6 +138,9 @@ def _cause(diagnosis: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale
 def _of_law(diagnosis: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
     value, sigma = diagnosis.final.value(key_of(law))
     parameters = {law.parameter: quantity(value, sigma, law.unit, law.meaning)}
+    if law.by_amplitude:
+        rms_m = diagnosis.final.state.recordings[0].rms_m
+        parameters["deflection_rms"] = quantity(rms_m, 0.0, "m", "rms of the deflection where the sensor is")
     if law.channel in scales:
         scale = scales[law.channel]
         unit = law.channel.rpartition("_")[2]

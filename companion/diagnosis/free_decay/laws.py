@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.modes.close_mode import CloseMode
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
@@ -20,6 +21,7 @@ from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
 _MINUTE_S = 60.0  # by definition
+_LEAST_AMPLITUDE = 0.01  # chosen: of the rms, below which friction's damping grows no further: it is noise
 
 
 class Follows(enum.StrEnum):
@@ -27,11 +29,12 @@ class Follows(enum.StrEnum):
 
     FREQUENCY = "frequency"
     DAMPING = "damping"
+    ADDED_DAMPING = "added damping"
 
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """Frequency x (1 + c basis(t)), or log damping + c basis(t).
+    """Frequency x (1 + c basis(t)), log damping + c basis(t), or damping + c basis(t).
 
     Attributes
     ----------
@@ -61,6 +64,11 @@ class Law:
     log_trials: float = 0.0
 
     @property
+    def by_amplitude(self) -> bool:
+        """Whether it follows the amplitude, which the filter tells."""
+        return self.parameter.endswith("_at_rms")
+
+    @property
     def name(self) -> str:
         """The effect, or what the law says."""
         return self.effect or self.key
@@ -88,7 +96,7 @@ def laws_for(channels: Sequence[str]) -> list[Extension]:
         extensions.append(_covariate(channel))
         extensions.append(_bent(channel))
         extensions.append(_damping(channel))
-    return [*extensions, _drift(), _cubic(), _quadratic()]
+    return [*extensions, _drift(), _cubic(), _quadratic(), _friction()]
 
 
 def _covariate(channel: str) -> Law:
@@ -142,7 +150,7 @@ def _drift() -> Law:
         "frequency drifts in time",
         "",
         Follows.FREQUENCY,
-        lambda record: (record.t_s - 0.5 * record.t_s[-1]) / _MINUTE_S,
+        lambda record: (record.t_s - record.t_s.mean()) / _MINUTE_S,
         "ratio_per_min",
         "1/min",
         "relative change of the natural frequency per minute",
@@ -157,25 +165,40 @@ def _cubic() -> Law:
         "frequency follows the amplitude's square",
         "",
         Follows.FREQUENCY,
-        lambda record: record.amplitude**2 / (1.0 + 0.1 * record.amplitude**2),
+        lambda record: record.amplitude**2,
         "ratio_at_rms",
         "",
-        "relative change of the natural frequency at the rms amplitude",
+        "relative change of the natural frequency at an amplitude of the rms deflection",
         0.02,
-        (-0.02, 0.02),
+        (-0.02, -0.006, -0.002, -0.0006, -0.0002, 0.0002, 0.0006, 0.002, 0.006, 0.02),
     )
 
 
 def _quadratic() -> Law:
     return Law(
         QuadraticDamping.name,
-        "damping follows the amplitude",
+        "damping grows with the amplitude",
         "",
-        Follows.DAMPING,
-        lambda record: np.log(0.1 + record.amplitude),
-        "log_ratio_per_log_amplitude",
+        Follows.ADDED_DAMPING,
+        lambda record: record.amplitude,
+        "damping_at_rms",
         "",
-        "exponent with which the damping ratio grows with the amplitude (1: force with speed squared, -1: friction)",
-        0.5,
-        (0.0,),
+        "damping ratio that a force with speed squared adds at an amplitude of the rms deflection",
+        0.02,
+        (0.0, 0.001, 0.004),
+    )
+
+
+def _friction() -> Law:
+    return Law(
+        CoulombFriction.name,
+        "damping falls with the amplitude",
+        "",
+        Follows.ADDED_DAMPING,
+        lambda record: 1.0 / np.maximum(record.amplitude, _LEAST_AMPLITUDE),
+        "damping_at_rms",
+        "",
+        "damping ratio that dry friction adds at an amplitude of the rms deflection",
+        0.02,
+        (0.0, 0.001, 0.004),
     )

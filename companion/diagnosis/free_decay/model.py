@@ -74,9 +74,13 @@ class FreeDecayModel:
         for law in self.extensions:
             if isinstance(law, Law) and law.follows is Follows.DAMPING:
                 log_zeta = log_zeta + columns[key_of(law)] * law.basis(record)
+        damping = np.exp(log_zeta)
+        for law in self.extensions:
+            if isinstance(law, Law) and law.follows is Follows.ADDED_DAMPING:
+                damping = damping + columns[key_of(law)] * law.basis(record)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
         loudness = np.exp(2.0 * columns[f"impulse to load #{recording}"]) * record.impulse_mps2**2
-        omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
+        omega, zeta, load = [first], [damping], [loudness]
         if any(isinstance(entry, NeighbourMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
             omega.append(2.0 * np.pi * np.exp(columns["second log frequency"]) * np.maximum(follow, _SLOWEST))

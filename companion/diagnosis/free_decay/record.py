@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import hilbert
 
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
@@ -55,7 +54,9 @@ class FreeDecay:
     channels : dict of str to (n,)
         About the mean of all recordings, in units of their rms.
     amplitude : (n,)
-        Envelope of ``up_mps2`` over its rms.
+        Of the deflection over its rms, as the null's filter follows it; ones before that was fitted.
+    rms_m : float
+        Rms of the deflection in all recordings.
     notes : tuple of str
     """
 
@@ -67,6 +68,7 @@ class FreeDecay:
     leakage_mps2: Floats
     channels: dict[str, Floats]
     amplitude: Floats
+    rms_m: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -109,6 +111,7 @@ def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple
             record.leakage_mps2,
             {name: (record.channels[name] - scale.mean) / scale.rms for name, scale in scales.items()},
             record.amplitude,
+            record.rms_m,
             (*record.notes, *vibration_notes) if record is coarse[0] else record.notes,
         )
         for record in coarse
@@ -172,10 +175,9 @@ def _coarse(
     impulse = np.sqrt(np.add.reduceat(loud, edges[:-1]) / np.diff(edges))
     thin = np.asarray(low * keep / count)
     channels = {name: np.add.reduceat(raw.channels[name], edges[:-1]) / np.diff(edges) for name in shared}
-    envelope = np.abs(hilbert(thin))
     t_s = np.arange(keep) / rate_hz
     return FreeDecay(
-        raw.name, rate_hz, t_s, thin, impulse, leakage_of(impulse), channels, envelope / float(thin.std()), notes
+        raw.name, rate_hz, t_s, thin, impulse, leakage_of(impulse), channels, np.ones_like(thin), notes=notes
     )
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
@@ -124,8 +124,10 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
     def __init__(
         self, recordings: Sequence[FreeDecay], frequency_hz: Uncertain, damping: Uncertain, band_hz: tuple[float, float]
     ) -> None:
-        self._recordings, self._belief, self._band_hz = tuple(recordings), (frequency_hz, damping), band_hz
+        self._belief, self._band_hz = (frequency_hz, damping), band_hz
         self._all = [np.ones(len(entry.t_s), dtype=np.bool_) for entry in recordings]
+        self._null = self._fit_null(recordings)
+        self._recordings = self._null.state.recordings
         self._offered = laws_for(sorted(recordings[0].channels))
 
     @property
@@ -142,13 +144,13 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         """One mode of constant frequency and damping."""
         return self._null
 
-    @cached_property
-    def _null(self) -> FreeDecayFit:
-        model = FreeDecayModel(self._recordings, *self._belief)
+    def _fit_null(self, recordings: Sequence[FreeDecay]) -> FreeDecayFit:
+        model = FreeDecayModel(recordings, *self._belief)
         at, entry = model.index("log frequency"), model.parameters[0]
         offered = np.tile(model.centres, (_FREQUENCIES, 1))
         offered[:, at] = entry.centre + entry.sigma * np.linspace(-2.0, 2.0, _FREQUENCIES)
-        return fit_best_of(model, offered, self._all, _DEEP)
+        fitted = fit_best_of(model, offered, self._all, _DEEP)
+        return dataclasses.replace(fitted, state=FreeDecayModel(_followed(fitted), *self._belief))
 
     def fit(
         self, terms: Sequence[Extension], near: FreeDecayFit, wider: float = 1.0, quick: bool = False
@@ -156,7 +158,8 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         """Fit with some laws from what another fit has in common with it."""
         del quick
         model = FreeDecayModel(self._recordings, *self._belief, terms, wider)
-        return fit_best_of(model, model.values_from(near.keys, near.values)[None, :], self._all, _DEEP)
+        fitted = fit_best_of(model, model.values_from(near.keys, near.values)[None, :], self._all, _DEEP)
+        return self._with_its_amplitude(fitted, wider, _DEEP)
 
     def screen(self, fitted: FreeDecayFit, progress: Progress) -> Screening[Extension]:
         """Refit with each further law in a few steps: a frequency that moves far is not told by its score at 0."""
@@ -178,9 +181,10 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         return None if candidate.fitted is None else (candidate, candidate.fitted)
 
     def plausible(self, fitted: FreeDecayFit) -> bool:
-        """Whether a second mode rings, and within the band; true of all that is no second mode."""
-        if isinstance(fitted.terms[-1], Law):
-            return True
+        """Whether a second mode rings, and within the band, or what adds damping takes none away; true of all else."""
+        term = fitted.terms[-1]
+        if isinstance(term, Law):
+            return term.follows is not Follows.ADDED_DAMPING or fitted.value(key_of(term))[0] > 0.0
         frequency_hz, zeta = (math.exp(fitted.value(f"second log {name}")[0]) for name in ("frequency", "damping"))
         return self._band_hz[0] < frequency_hz < self._band_hz[1] and zeta < _RINGS
 
@@ -204,12 +208,20 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         model = FreeDecayModel(self._recordings, *self._belief, (*current.terms, entry))
         start = model.values_from(current.keys, current.values)
         fitted = fit_best_of(model, _starts(entry, model, start, wide=not current.terms), self._all, _QUICK)
+        fitted = self._with_its_amplitude(fitted, 1.0, _QUICK)
         if not self.plausible(fitted):
             return None
         extra = len(fitted.values) - len(current.values)
         power = max(2.0 * (fitted.log_likelihood - current.log_likelihood), 0.0)
         z = normal_score(float(chi2.logsf(power, extra))) if power else 0.0
         return _FittedCandidate(entry, z, fitted.log_evidence - current.log_evidence, fitted=fitted)
+
+    def _with_its_amplitude(self, fitted: FreeDecayFit, wider: float, rounds: int) -> FreeDecayFit:
+        """Fit again with the amplitude that its filter follows, where a law depends on it."""
+        if not any(isinstance(term, Law) and term.by_amplitude for term in fitted.terms):
+            return fitted
+        model = FreeDecayModel(_followed(fitted), *self._belief, fitted.terms, wider)
+        return fit_best_of(model, fitted.values[None, :], self._all, rounds)
 
     def _predict(self, fitted: FreeDecayFit, parity: int) -> list[Prediction]:
         """Fit again on every other block and predict the acceleration one period ahead on the rest.
@@ -240,6 +252,27 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         return predictions
 
 
+def _followed(fitted: FreeDecayFit) -> list[FreeDecay]:
+    """Recordings with the first mode's amplitude as the filter follows it, over its rms in all of them."""
+    recordings, values = fitted.state.recordings, fitted.values[None, :]
+    amplitudes = []
+    for k, filtered in enumerate(filter_all(fitted.state, [values] * len(recordings))):
+        modes, rate_hz = fitted.state.modes(values, k), recordings[k].rate_hz
+        omega, u, v = modes.omega_radps[0, :, 0], filtered.state[0, :, 0], filtered.state[0, :, 1]
+        after = np.hypot(u / omega.mean(), v / omega)
+        fading = np.exp(-modes.zeta[0, :, 0] * omega / rate_hz)
+        for step in range(filtered.state.shape[2], 0, -1):  # as many samples as states pass before it is followed
+            after[step - 1] = after[step] / fading[step]
+        middle = np.concatenate([after[:1] / fading[:1], after[:-1]]) * np.sqrt(fading)
+        # the model's sample is the mean of a step, by so much less than the recording's, which is of the middle
+        amplitudes.append(middle * np.sinc(omega / math.tau / rate_hz))
+    rms_m = math.sqrt(0.5 * float(np.mean(np.concatenate(amplitudes) ** 2)))
+    return [
+        dataclasses.replace(record, amplitude=amplitude / rms_m, rms_m=rms_m)
+        for record, amplitude in zip(recordings, amplitudes, strict=True)
+    ]
+
+
 def _in_fold(record: FreeDecay, parity: int) -> Mask:
     return np.asarray((record.t_s // _BLOCK_S).astype(int) % 2 == parity)
 
@@ -261,11 +294,18 @@ def _starts(entry: Extension, model: FreeDecayModel, start: Floats, wide: bool) 
                 row[model.index("second log participation")] = -3.0
                 rows.append(row)
         return np.array(rows)
+    middle = _middle(entry, model.recordings) if entry.follows is Follows.FREQUENCY else 0.0
     shifts = np.linspace(-0.3, 0.3, 9) if wide and entry.follows is Follows.FREQUENCY else [0.0]
     for shift in shifts:
         for value in entry.starts:
             row = start.copy()
-            row[0] += shift
+            row[0] += shift - value * middle
             row[model.index(key_of(entry))] = value
             rows.append(row)
     return np.array(rows)
+
+
+def _middle(law: Law, recordings: Sequence[FreeDecay]) -> float:
+    """Mean of a law's basis where the energy is: there the frequency stays if it is begun with the law."""
+    weights = np.concatenate([record.amplitude**2 for record in recordings])
+    return float(np.average(np.concatenate([law.basis(record) for record in recordings]), weights=weights))
