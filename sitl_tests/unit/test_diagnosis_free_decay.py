@@ -145,11 +145,11 @@ def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
     (decay,), scales = prepare([raw], BAND_HZ)
     assert list(scales) == ["stand_m"]
     assert any("gauge_v vibrates" in note for note in decay.notes)
-    assert decay.rate_hz == pytest.approx(2.6 * BAND_HZ[1], rel=0.01)
+    assert decay.rate_hz == pytest.approx(3.0 * BAND_HZ[1], rel=0.01)
     np.testing.assert_allclose(decay.up_mps2[20:-20], np.sin(2.0 * np.pi * 9.0 * decay.t_s[20:-20]), atol=0.02)
     late = np.concatenate([t_s[:4000], t_s[4000:] + 0.5])
     (cut,), _ = prepare([RawFreeDecay("two", late, up, {})], BAND_HZ)
-    assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.1)
+    assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.25)
     with pytest.raises(
         RecordingError, match="sampled at 100 Hz; to see impulses above a band up to 14 Hz it takes 140"
     ):

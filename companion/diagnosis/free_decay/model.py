@@ -14,7 +14,7 @@ from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_NUISANCES = 4  # of each recording: impulse to load, noise, impulse to noise, drift (by definition)
+_NUISANCES = 5  # of each recording: impulse to load, steady load, noise, impulse to noise, drift (by definition)
 _SLOWEST = 0.2  # of the constant part of the frequency, a bound for the fit
 _ZETA = (1e-5, 0.5)  # numerical: keeps a filter stable and a mode oscillating, far outside any wing's damping
 
@@ -80,6 +80,7 @@ class FreeDecayModel:
                 damping = damping + columns[key_of(law)] * law.basis(record)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
         loudness = np.exp(2.0 * columns[f"impulse to load #{recording}"]) * record.impulse_mps2**2
+        loudness = loudness + np.exp(2.0 * columns[f"load #{recording}"])
         omega, zeta, load = [first], [damping], [loudness]
         if any(isinstance(entry, NeighbourMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
@@ -117,6 +118,7 @@ class FreeDecayModel:
                 Parameter(f"impulse to load #{k}", -1.0, 3.0),
                 Parameter(f"noise #{k}", quiet, 3.0),
                 Parameter(f"impulse to noise #{k}", -1.0, 2.0),
+                Parameter(f"load #{k}", quiet, 3.0),
                 Parameter(f"drift #{k}", quiet, 3.0),
             ]
         return parameters

@@ -34,6 +34,7 @@ from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way (choice)
+_LEAKAGES = np.array([[0.0], [-1.0], [-2.0], [-3.0]])  # chosen: logarithms of factors at which leakage begins again
 _DEEP = 40  # chosen: steps, at most, of a fit that decides
 _QUICK = 10  # chosen: steps of a fit that ranks: enough to order, cheap enough for many
 _FOLD = 4  # steps of a fit on half of the blocks, from the fit on all (choice)
@@ -150,6 +151,10 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
         offered = np.tile(model.centres, (_FREQUENCIES, 1))
         offered[:, at] = entry.centre + entry.sigma * np.linspace(-2.0, 2.0, _FREQUENCIES)
         fitted = fit_best_of(model, offered, self._all, _DEEP)
+        # leakage that was fitted away while the noise was still too large has no slope by which to come back
+        rows = np.tile(fitted.values, (len(_LEAKAGES) + 1, 1))
+        rows[1:, [model.index(f"impulse to noise #{k}") for k in range(len(recordings))]] = _LEAKAGES
+        fitted = fit_best_of(model, rows, self._all, _DEEP)
         return dataclasses.replace(fitted, state=FreeDecayModel(_followed(fitted), *self._belief))
 
     def fit(
@@ -239,11 +244,10 @@ class FreeDecays(Recordings[Extension, FreeDecayModel]):
             terms, error = -0.5 * (e**2 / s + np.log(s)), record.up_mps2 - innovations.ahead[0]
             block, quiet = (record.t_s // _BLOCK_S).astype(int), quiet_samples(record, self.ahead)
             for k in np.unique(block[~in_fold]):
-                in_block = block == k
-                still = in_block & quiet
+                still = (block == k) & quiet
                 predictions.append(
                     Prediction(
-                        {"acceleration": float(np.sum(terms[in_block & ~in_fold]))},
+                        {"acceleration": float(np.sum(terms[still]))},
                         float(np.sum(error[still] ** 2)),
                         float(np.sum(record.up_mps2[still] ** 2)),
                         int(still.sum()),

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import hilbert
 
 from companion.diagnosis.free_decay.model import FreeDecayModel
-from companion.diagnosis.free_decay.record import FreeDecay
+from companion.diagnosis.free_decay.record import FreeDecay, rise
 from companion.records import Floats
 
 _WINDOW_S, _STEP_S = 0.3, 0.1  # chosen: a period and a half at 5 Hz, moved by a third so that windows overlap
@@ -36,7 +36,8 @@ class WindowedBackbone:
 def backbone(record: FreeDecay) -> WindowedBackbone:
     """Frequency, damping and amplitude of every window without an impulse in it."""
     length, step = round(_WINDOW_S * record.rate_hz), max(round(_STEP_S * record.rate_hz), 1)
-    envelope = np.abs(hilbert(record.up_mps2))
+    up = _without_drift(record)
+    envelope = np.abs(hilbert(up))
     loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
     least = _LEAST_AMPLITUDE * float(np.percentile(envelope, 95))
     rows, at = [], []
@@ -44,7 +45,7 @@ def backbone(record: FreeDecay) -> WindowedBackbone:
         window = slice(first, first + length)
         if loud[window].any() or float(envelope[window].mean()) < least:
             continue
-        f_hz = _peak_hz(record.up_mps2[window], record.rate_hz)
+        f_hz = _peak_hz(up[window], record.rate_hz)
         inner = slice(first + length // 8, first + length - length // 8)  # clear of the ends of the transform
         fall = -np.polyfit(record.t_s[inner], np.log(envelope[inner]), 1)[0]
         rows.append((record.t_s[window].mean(), f_hz, fall / (2.0 * np.pi * f_hz), envelope[window].mean()))
@@ -52,6 +53,14 @@ def backbone(record: FreeDecay) -> WindowedBackbone:
     table = np.array(rows).reshape(-1, 4)
     channels = {name: np.array([values[window].mean() for window in at]) for name, values in record.channels.items()}
     return WindowedBackbone(table[:, 0], table[:, 1], table[:, 2], table[:, 3], channels)
+
+
+def _without_drift(record: FreeDecay) -> Floats:
+    """Acceleration (m,) above the band's lower edge."""
+    f_hz = np.fft.rfftfreq(len(record.t_s), 1.0 / record.rate_hz)
+    return np.asarray(
+        np.fft.irfft(rise(f_hz / max(record.lowest_hz, f_hz[1])) * np.fft.rfft(record.up_mps2), len(record.t_s))
+    )
 
 
 def _peak_hz(window: Floats, rate_hz: float) -> float:
@@ -75,13 +84,14 @@ def restoring_force(model: FreeDecayModel, values: Floats, recording: int) -> tu
     modes = model.modes(values[None, :], recording)
     omega, zeta = modes.omega_radps[0, :, 0], modes.zeta[0, :, 0]
     f_hz = np.fft.rfftfreq(len(record.t_s), 1.0 / record.rate_hz)
-    spectrum = np.fft.rfft(record.up_mps2)
+    up = _without_drift(record)
+    spectrum = np.fft.rfft(up)
     spectrum[f_hz < 0.2 * float(omega.mean()) / (2.0 * np.pi)] = 0.0
     over = 2j * np.pi * np.maximum(f_hz, f_hz[1])
     v, q = np.fft.irfft(spectrum / over, len(record.t_s)), np.fft.irfft(spectrum / over**2, len(record.t_s))
-    residual = record.up_mps2 + omega**2 * q + 2.0 * zeta * omega * v
-    quiet = record.impulse_mps2**2 < _QUIET * float(np.mean(record.impulse_mps2**2))
-    q, v, residual = q[quiet] / q[quiet].std(), v[quiet] / v[quiet].std(), residual[quiet] / record.up_mps2[quiet].std()
+    residual = up + omega**2 * q + 2.0 * zeta * omega * v
+    quiet = record.impulse_mps2**2 <= _QUIET * float(np.mean(record.impulse_mps2**2))
+    q, v, residual = q[quiet] / q[quiet].std(), v[quiet] / v[quiet].std(), residual[quiet] / up[quiet].std()
     edges = np.linspace(-_SPREAD, _SPREAD, _CELLS + 1)
     total, _, _ = np.histogram2d(q, v, bins=[edges, edges], weights=residual)
     count, _, _ = np.histogram2d(q, v, bins=[edges, edges])
