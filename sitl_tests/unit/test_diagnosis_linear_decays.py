@@ -11,6 +11,8 @@ import pytest
 from scipy.linalg import expm
 
 from companion.diagnosis.free_decay.json_report import as_json
+from companion.diagnosis.free_decay.likelihood import FreeDecayLikelihood
+from companion.diagnosis.free_decay.model import FreeDecayModel
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, beyond_noise, prepare
 from companion.diagnosis.free_decay.recordings import diagnose
 from companion.params.airframe import Uncertain
@@ -237,3 +239,13 @@ def test_what_a_hand_does_before_the_first_blow_is_left_out() -> None:
     up[:8000] += np.sin(OMEGA * np.arange(8000) / INNER_HZ)
     thin = decay(RawFreeDecay("held", np.arange(len(up)) / INNER_HZ, up + rng.normal(0.0, 0.02, len(up)), {}))
     assert 2.2 < thin.t_s[0] < 2.5
+
+
+def test_no_mode_is_taken_for_its_mirror_image_beyond_half_the_rate() -> None:
+    thin = decay(sensed(13, swing(np.zeros(12000), 9.0, 0.01, q=0.002), 1000, 0.05))
+    model = FreeDecayModel([thin], *BELIEF)
+    likelihood = FreeDecayLikelihood(model, [np.ones(len(thin.t_s), dtype=np.bool_)])
+    true, mirrored = model.centres, model.centres
+    true[:2] = math.log(9.0), math.log(0.01)
+    mirrored[:2] = math.log(thin.rate_hz - 9.0), math.log(0.01 * 9.0 / (thin.rate_hz - 9.0))
+    assert likelihood.log_likelihood(true) > likelihood.log_likelihood(mirrored) + 100.0

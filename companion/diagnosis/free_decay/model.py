@@ -89,9 +89,17 @@ class FreeDecayModel:
             load.append(loudness * np.exp(columns["second log participation"]))
         noise = np.exp(2.0 * columns[f"noise #{recording}"])
         noise = noise + np.exp(2.0 * columns[f"impulse to noise #{recording}"]) * record.leakage_mps2**2
+        highest = math.pi * record.rate_hz  # beyond it a mode looks like one below
         drift = np.exp(2.0 * columns[f"drift #{recording}"][:, 0])
         start = np.full(len(values), float(np.max(record.up_mps2**2)))
-        return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise, start, drift)
+        return Modes(
+            np.minimum(np.stack(omega, 2), highest),
+            np.clip(np.stack(zeta, 2), *_ZETA),
+            np.stack(load, 2),
+            noise,
+            start,
+            drift,
+        )
 
     def swing(self, columns: dict[str, Floats], record: FreeDecay) -> Floats:
         """The first mode's frequency over its constant part, (b, t)."""
