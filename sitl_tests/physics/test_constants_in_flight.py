@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 CALM, STRONG = 203, 214  # flights whose gusts bend the tips by 3 and by 22 mm rms
 WHITE = 9  # flight whose white gust bends them by 2 mm
-STILL = 2  # flight whose gusts bend by 2.5 mm rms the tips of an aircraft that itself does not move
+STILL = 2, 4  # flights whose gusts bend by 2.5 and 8 mm rms the tips of an aircraft that itself does not move
 LIGHTLY_DAMPED = 417  # flight whose second mode, damped to 0.6 %, moves beside a first one of 13 mm rms
 TIPS = tuple(f"{tip}.{error}" for tip in ("left", "right") for error in ("kz", "mx", "mz"))
 A_FEW_CLIPPED, MANY_CLIPPED = 731, 718  # flights in `rough` whose tips reach 16 g in 0.2 and 17 % of their samples
@@ -66,17 +66,19 @@ def test_a_white_gust_is_no_misalignment_of_the_tips() -> None:
     assert max(abs(value) for name, value in over.items() if name in (*JUDGED, "shortening")) < 5.0, over
 
 
-def test_a_body_that_does_not_move_teaches_no_trim() -> None:
+@pytest.mark.parametrize("number", STILL)
+def test_a_body_that_does_not_move_teaches_no_trim(number: int) -> None:
     """Four sigmas; noise of the estimated roll acceleration in the derivatives gave 19 of the trim and 5 of ``mx``.
 
     No load factor tells a lateral bias from a lift here, and 41 mm of trim move the tip inboard as much as it tilts.
+    Linearised at misalignments that were not yet known, the second flight gave 6 of ``mx``.
     """
     row = CampaignRow("ideal", "nadir-2m", "6-axis")
     airframe = row.belief()
     trimmed = dataclasses.replace(airframe.wing, trim_bend_m=Uncertain(0.041, 0.0041))
     airframe = dataclasses.replace(airframe, wing=trimmed)
     level = FlightPlan(26.0, heave_wobble_mps2=0.0, roll_wobble_rad=0.0, pitch_wobble_rad=0.0, yaw_wobble_rad=0.0)
-    flight = build_flight(airframe, row.seed(STILL), plan=level)
+    flight = build_flight(airframe, row.seed(number), plan=level)
     state = start(flight.airframe, Settings())
     for record in in_order(flight, []):
         state, _ = step(state, record)

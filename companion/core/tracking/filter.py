@@ -87,7 +87,7 @@ class SeparatedBiasFilter:
         self._steps_since_solution = self.steps = 0
         self._by_parameters = 0.0  # of the NIS's sum, by the covariance of those that a flight may teach
         self._teachable = np.setdiff1d(np.arange(c), self._considered)
-        self.finite = True
+        self.finite = self._linearises_at_estimate = True
         self._filter_state = FilterState(
             self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
         )
@@ -175,6 +175,12 @@ class SeparatedBiasFilter:
             self.layout.bias_parameter_sigma[column - 1] < _CALIBRATED_BEND * abs(self._bend_per_g_m)
         )
 
+    def linearise_at(self, bias_parameters: Floats | None) -> None:
+        """Linearise the rows, and give the state, at these bias parameters (c,) from here on; None: at the estimate."""
+        self._linearises_at_estimate = bias_parameters is None
+        self._one_and_bias[1:] = self.bias_parameters if bias_parameters is None else bias_parameters
+        self._one_and_bias[self._considered + 1] = 0.0
+
     def reset_bias_parameters(self, names: Collection[str]) -> None:
         """Return bias parameters to their priors: from here on they are others.
 
@@ -238,8 +244,7 @@ class SeparatedBiasFilter:
     def total_covariance(self) -> Floats:
         """Covariance of the state with that of the bias parameters as solved, ``P + V P_c V^T``, (n, n)."""
         v = self.state_and_sensitivity[:-1, 1:]
-        total: Floats = self.covariance + v @ self._bias_covariance @ v.T
-        return total
+        return np.asarray(self.covariance + v @ self._bias_covariance @ v.T)
 
     @property
     def dynamic_covariance(self) -> Floats:
@@ -391,4 +396,5 @@ class SeparatedBiasFilter:
             self.bias_parameters,
             self._bias_covariance,
         )
-        self._one_and_bias[1:] = self.bias_parameters
+        if self._linearises_at_estimate:
+            self._one_and_bias[1:] = self.bias_parameters

@@ -6,6 +6,8 @@ import copy
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel, WingParameters
@@ -16,6 +18,7 @@ from companion.core.tracking.states import SensorNoise, StateLayout
 from companion.params.airframe import Wing
 from companion.records import Floats
 
+_CREDIBLE_SIGMAS = 5.0  # chosen: of the prior; a jump of the lateral force on lifting off gave a scale of 30
 _SEGMENTS = 5  # chosen: of 40 ms each; filtered in one stage, in less than 1 ms
 
 
@@ -40,11 +43,23 @@ class NewParameters(NamedTuple):
 
 
 def fresh_filter(
-    layout: StateLayout, sensors: SensorNoise, wing: Wing, keep: int, model: DiscreteWingModel, noise: RowNoise
+    layout: StateLayout,
+    sensors: SensorNoise,
+    wing: Wing,
+    keep: int,
+    model: DiscreteWingModel,
+    noise: RowNoise,
+    linearised_at: Floats | None = None,
 ) -> SeparatedBiasFilter:
-    """Filter at its prior, with a history of ``keep`` steps."""
+    """Filter at its prior, with a history of ``keep`` steps.
+
+    Where it filters again what another has filtered, its rows are linearised at that one's bias parameters (c,), if
+    the prior can believe them all.
+    """
     kalman = SeparatedBiasFilter(layout, sensors, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, keep)
     kalman.take_noise(noise)
+    if linearised_at is not None and np.all(np.abs(linearised_at) < _CREDIBLE_SIGMAS * layout.bias_parameter_sigma):
+        kalman.linearise_at(linearised_at)
     return kalman
 
 
@@ -90,4 +105,6 @@ def readapt(
         tried.run(join(epochs[segments : segments + _SEGMENTS]))
         segments = min(segments + _SEGMENTS, len(epochs))
         yield
+    if tried is not None:
+        tried.linearise_at(None)
     return NewParameters(learned, new_model, tried, segments)
