@@ -156,6 +156,20 @@ def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
         prepare([RawFreeDecay("slow", np.arange(600) / 100.0, np.zeros(600), {})], BAND_HZ)
 
 
+def test_a_recording_too_short_for_a_low_band_is_refused() -> None:
+    """Nothing of 2.5 s at up to 2 Hz was left between the ends that are dropped, and ten samples of 4 s."""
+    band_hz = (0.6, 2.0)
+
+    def rung_for(seconds: float) -> RawFreeDecay:
+        t_s = np.arange(int(500 * seconds)) / 500.0
+        return RawFreeDecay("low", t_s, np.exp(-0.2 * t_s) * np.cos(2.0 * np.pi * 1.2 * t_s), {})
+
+    with pytest.raises(RecordingError, match=r"low: .* is 2\.5 s; for a band up to 2 Hz 7\.7 s are needed"):
+        prepare([rung_for(2.5)], band_hz)
+    (decay,), _ = prepare([rung_for(7.7)], band_hz)
+    assert len(decay.t_s) >= 10 * decay.rate_hz / band_hz[1]
+
+
 def test_windows_tell_frequency_and_damping_of_a_decay() -> None:
     t_s = np.arange(400) / 40.0
     decay = np.exp(-0.01 * 2.0 * np.pi * 9.0 * t_s) * np.cos(2.0 * np.pi * 9.0 * t_s)

@@ -26,6 +26,7 @@ from companion.records import Bools, Floats
 
 _ABOVE = (4.0, 15.0)  # times the band's top: band in which impulses are seen and modes of interest are not (choice)
 _LEAST_S = 2.0  # chosen: ten periods at 5 Hz, of fewer the damping is not known
+_LEAST_STEPS = 30  # chosen: ten periods of the band's upper edge
 _GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
 _ROOM = 1.5  # times the band's upper edge, half the rate: leaves an octave for the edge (choice)
 _BEYOND = 4.0  # chosen: periods of the band's upper edge, by which a recording is reflected at its ends
@@ -35,7 +36,7 @@ _RINGS = 7  # derived: samples within which the edge's ringing falls below 0.005
 _QUIET_SHARE = 0.2  # chosen: of the steps, at least so many have no impulse
 _BY_CHANCE = 1e-5  # chosen: share of quiet steps that are taken for an impulse
 _FREEDOMS = 2.0  # by definition: of noise in a narrow band, its two phases, however short the step
-_STILL = 0.5  # chosen: of the later range, up to which motion before the first impulse is no decay worth the trouble
+_STILL = 0.5  # chosen: of the later range, up to which motion before the first impulse is left out
 _QUIET = 0.02  # chosen: of the mean square above the band, up to which a sample has no impulse
 
 
@@ -67,7 +68,7 @@ class FreeDecay:
     channels : dict of str to (n,)
         About the mean of all recordings, in units of their rms.
     amplitude : (n,)
-        Of the deflection over its rms, as the null's filter follows it; ones before that was fitted.
+        Of the deflection over its rms, as the filter of the last fit follows it; ones before the first.
     rms_m : float
         Rms of the deflection in all recordings.
     lowest_hz : float
@@ -102,7 +103,8 @@ def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple
     Raises
     ------
     RecordingError
-        Sampled too slowly to see impulses above the band, or shorter than 2 s without a gap.
+        Sampled too slowly to see impulses above the band, or too short without a gap: 2 s are needed, and ten periods
+        of the band's upper edge beside the ends that are dropped.
     """
     cut = [_longest(raw) for raw in raws]
     shared = sorted(set.intersection(*(set(raw.channels) for raw, _ in cut)))
@@ -182,6 +184,12 @@ def _coarse(
     loud = _by_step(np.fft.irfft(above * spectrum, len(up)) ** 2, edges)
     power = beyond_noise(loud, 2.0 * float(np.sum(above**2)) / keep)
     outside = math.ceil(beyond * keep / len(up)) + _RINGS
+    if keep - 2 * outside < _LEAST_STEPS:
+        needed_s = (_LEAST_STEPS + 2 * _RINGS + 2) / (2.0 * _ROOM * band_hz[1])  # two for what is rounded
+        raise RecordingError(
+            f"{raw.name}: the longest stretch without a gap is {count / fine_hz:.1f} s; for a band up to "
+            f"{band_hz[1]:g} Hz {needed_s:.1f} s are needed"
+        )
     inside = slice(_first(thin, power, outside, rate_hz), keep - outside)
     leakage = leakage_of(power, low_pass, edges)
     channels = {name: _by_step(np.pad(raw.channels[name], beyond, mode="edge"), edges)[inside] for name in shared}
@@ -224,7 +232,7 @@ def _first(up: Floats, power: Floats, outside: int, rate_hz: float) -> int:
     """
     struck = np.flatnonzero(power[outside:-outside] > 0.0)
     first = outside + int(struck[0]) - _RINGS if struck.size else outside
-    if first <= outside or len(up) - outside - first < _LEAST_S * rate_hz:
+    if first <= outside or len(up) - outside - first < max(_LEAST_S * rate_hz, _LEAST_STEPS):
         return outside
     return first if np.ptp(up[outside:first]) < _STILL * np.ptp(up[first:-outside]) else outside
 
