@@ -12,6 +12,9 @@ from companion.diagnosis.free_decay import kalman
 from companion.diagnosis.free_decay.adequacy import Whitened, judged
 from companion.diagnosis.free_decay.json_report import as_json
 from companion.diagnosis.free_decay.kalman import Modes, run
+from companion.diagnosis.free_decay.laws import laws_for
+from companion.diagnosis.free_decay.likelihood import filter_all
+from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
 from companion.diagnosis.free_decay.recordings import FreeDecays, diagnose
 from companion.diagnosis.free_decay.views import backbone
@@ -168,6 +171,26 @@ def test_a_recording_too_short_for_a_low_band_is_refused() -> None:
         prepare([rung_for(2.5)], band_hz)
     (decay,), _ = prepare([rung_for(7.7)], band_hz)
     assert len(decay.t_s) >= 10 * decay.rate_hz / band_hz[1]
+
+
+def test_a_recording_is_followed_beside_a_longer_one_as_it_is_alone() -> None:
+    """The frequency follows a channel; the deflection's reference was a mean frequency beyond the recording's end."""
+    rng = np.random.default_rng(22)
+
+    def recorded(count: int) -> FreeDecay:
+        still, ramp = np.zeros(count), np.linspace(-1.0, 1.0, count)
+        t_s = np.arange(count) / 42.0
+        return FreeDecay("run", 42.0, t_s, rng.standard_normal(count), still, still, {"stand_m": ramp}, still)
+
+    short, long = recorded(100), recorded(300)
+    law = next(law for law in laws_for(["stand_m"]) if law.effect == "covariate-frequency")
+    states = []
+    for recordings in ([short], [short, long]):
+        model = FreeDecayModel(recordings, *BELIEF, [law])
+        values = model.centres
+        values[model.index(key_of(law))] = 0.2
+        states.append(filter_all(model, [values[None, :]] * len(recordings))[0].state)
+    np.testing.assert_allclose(states[1], states[0], rtol=1e-9, atol=1e-12)
 
 
 def test_windows_tell_frequency_and_damping_of_a_decay() -> None:

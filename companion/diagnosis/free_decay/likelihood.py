@@ -73,7 +73,7 @@ def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0)
     """Filter every recording under vectors (b, p) of its own, all in one sweep."""
     each = [model.modes(values, k) for k, values in enumerate(vectors)]
     longest = max(len(record.t_s) for record in model.recordings)
-    # what is shorter is followed by samples that say nothing
+    # what is shorter is followed by samples that say nothing, at its mean frequency, which is the reference of u
     modes = Modes(
         np.concatenate([_longer(record.omega_radps, longest) for record in each]),
         np.concatenate([_longer(record.zeta, longest) for record in each]),
@@ -106,7 +106,7 @@ def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0)
 def _longer(values: Floats, length: int) -> Floats:
     extra = [(0, 0)] * values.ndim
     extra[1] = (0, length - values.shape[1])
-    return np.pad(values, extra, mode="edge")
+    return np.pad(values, extra, mode="mean")
 
 
 def _log_likelihood(filtered: Filtered, mask: Mask) -> Floats:
