@@ -192,7 +192,7 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
     const, model, _, _ = _kernel_arguments(kalman)
     epochs, size = _epochs(kalman, 0.0), kalman.layout.size + 1
     none = np.zeros((STEPS, 2))  # the slope's change with the force inside the epoch is taken as known
-    roll_accel = 2.0
+    roll_radps, roll_accel = 0.5, 2.0
     earlier = np.full(STEPS, roll_accel)
     epochs = epochs._replace(
         rows=0.1 * epochs.rows, lateral_mps2=none, slope_rate_gain=none, earlier_roll_radps2=earlier
@@ -200,7 +200,7 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
     if missing is not None:
         epochs.present[5, missing] = False
     state = 3e-4 * np.random.default_rng(3).standard_normal(size)
-    state[kalman.layout.roll_rate], state[kalman.layout.roll_accel] = 0.5, roll_accel
+    state[kalman.layout.roll_rate], state[kalman.layout.roll_accel] = roll_radps, roll_accel
 
     def linearised(at: Floats) -> tuple[Floats, Floats]:
         """Innovations of both slope rows, and their derivative by the state with its sign turned."""
@@ -216,6 +216,12 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
         assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
+        if i == kalman.layout.roll_rate:
+            assert -quotient == pytest.approx(H[:, i], rel=0.01)
+        if i == kalman.layout.roll_accel:  # H has nothing of the lift rate's share, h p y of a measured tip
+            left_out = epochs.lateral_gain[5] * const.step_s * roll_radps * const.lever_m
+            left_out = left_out * epochs.present[5, Z_LEFT : Z_LEFT + 2]
+            assert -quotient == pytest.approx(H[:, i] + left_out, rel=0.1)
 
 
 def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
