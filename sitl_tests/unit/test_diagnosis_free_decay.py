@@ -45,14 +45,14 @@ def rung(seed: int, frequency_hz: Floats, zeta: float, channel: Floats, second_h
 def _swing(omega: Floats, zeta: float, load: Floats) -> Floats:
     """Acceleration without load by a velocity Verlet integrator with substeps, which shares nothing with the filter."""
     q, v, step = 0.0, 0.0, 1.0 / (4.0 * RATE_HZ)
-    shown = np.empty(len(load))
+    acceleration = np.empty(len(load))
     for k in range(len(load)):
         for _ in range(4):
             v += 0.5 * step * (load[k] - omega[k] ** 2 * q - 2.0 * zeta * omega[k] * v)
             q += step * v
             v += 0.5 * step * (load[k] - omega[k] ** 2 * q - 2.0 * zeta * omega[k] * v)
-        shown[k] = -(omega[k] ** 2) * q - 2.0 * zeta * omega[k] * v
-    return shown
+        acceleration[k] = -(omega[k] ** 2) * q - 2.0 * zeta * omega[k] * v
+    return acceleration
 
 
 def steps_of(seed: int, seconds: float) -> Floats:

@@ -30,29 +30,29 @@ def swing(force: Floats, f_hz: float, zeta: float, q: float = 0.0, v: float = 0.
     omega = 2.0 * math.pi * f_hz
     flow = np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * zeta * omega, 1.0], [0.0, 0.0, 0.0]])
     (a, b, c), (d, e, f), _ = expm(flow / INNER_HZ).tolist()
-    shown = []
+    acceleration = []
     for load in force.tolist():
-        shown.append(load - omega**2 * q - 2.0 * zeta * omega * v)
+        acceleration.append(load - omega**2 * q - 2.0 * zeta * omega * v)
         q, v = a * q + b * v + c * load, d * q + e * v + f * load
-    return np.array(shown)
+    return np.array(acceleration)
 
 
-def bent_swing(force: Floats, pull: Callable[[float, float, float], float], q: float = 0.0) -> Floats:
-    """Acceleration of a mass 1 on any spring and damper, ``pull`` of q, v and time; Runge-Kutta of fourth order."""
-    v, step, shown = 0.0, 1.0 / INNER_HZ, []
+def bent_swing(force: Floats, restoring: Callable[[float, float, float], float], q: float = 0.0) -> Floats:
+    """Acceleration of a mass 1 on any spring and damper, ``restoring`` by q, v and time; fourth-order Runge-Kutta."""
+    v, step, acceleration = 0.0, 1.0 / INNER_HZ, []
     for k, load in enumerate(force.tolist()):
         now = k * step
-        a1 = load + pull(q, v, now)
+        a1 = load + restoring(q, v, now)
         v2 = v + 0.5 * step * a1
-        a2 = load + pull(q + 0.5 * step * v, v2, now + 0.5 * step)
+        a2 = load + restoring(q + 0.5 * step * v, v2, now + 0.5 * step)
         v3 = v + 0.5 * step * a2
-        a3 = load + pull(q + 0.5 * step * v2, v3, now + 0.5 * step)
+        a3 = load + restoring(q + 0.5 * step * v2, v3, now + 0.5 * step)
         v4 = v + step * a3
-        a4 = load + pull(q + step * v3, v4, now + step)
-        shown.append(a1)
+        a4 = load + restoring(q + step * v3, v4, now + step)
+        acceleration.append(a1)
         q += step / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v += step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return np.array(shown)
+    return np.array(acceleration)
 
 
 def blows(seconds: float, peaks: Mapping[float, float]) -> Floats:
@@ -63,10 +63,10 @@ def blows(seconds: float, peaks: Mapping[float, float]) -> Floats:
     return force
 
 
-def let_go(seconds: float, pull: float, at_s: float) -> Floats:
+def let_go(seconds: float, force_mps2: float, at_s: float) -> Floats:
     """Force of a thread that is pulled within a second, slowly beside a period, and cut."""
     t_s = np.arange(int(seconds * INNER_HZ)) / INNER_HZ
-    return np.asarray(pull * (0.5 - 0.5 * np.cos(np.pi * np.clip(t_s, 0.0, 1.0))) * (t_s < at_s))
+    return np.asarray(force_mps2 * (0.5 - 0.5 * np.cos(np.pi * np.clip(t_s, 0.0, 1.0))) * (t_s < at_s))
 
 
 def sensed(seed: int, acceleration: Floats, rate_hz: int, noise: float, name: str = "decay") -> RawFreeDecay:
@@ -161,8 +161,8 @@ NAMED: dict[str, tuple[Callable[[float, float, float], float], str, Callable[[fl
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_a_bent_decay_is_named_with_its_value(name: str) -> None:
-    pull, parameter, true = NAMED[name]
-    plain, _ = diagnosed([sensed(8, bent_swing(blows(8.0, {0.6: 70.0, 3.0: 40.0, 5.5: 80.0}), pull), 1000, 0.2)])
+    restoring, parameter, true = NAMED[name]
+    plain, _ = diagnosed([sensed(8, bent_swing(blows(8.0, {0.6: 70.0, 3.0: 40.0, 5.5: 80.0}), restoring), 1000, 0.2)])
     assert [cause["name"] for cause in plain["causes"]] == [name]
     parameters = plain["causes"][0]["parameters"]
     rms_m = parameters["deflection_rms"]["value"] if "deflection_rms" in parameters else 0.0
