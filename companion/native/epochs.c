@@ -338,9 +338,9 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     }
     roll_errors(&j, m, k, columns);
     rows[P_ROOT] = rate[0];
-    double turned[CHANNELS];
-    mean_before(m->d_smooth, CHANNELS, m, k, turned);
-    out->earlier_roll[k] = turned[ROLL];
+    double earlier[CHANNELS];
+    mean_before(m->d_smooth, CHANNELS, m, k, earlier);
+    out->earlier_roll[k] = earlier[ROLL];
     for (int row = 0; row < ROWS; row++)
         if (!present[row])
             rows[row] = 0.0;

@@ -50,13 +50,12 @@ typedef struct {
     double force;
     /* its derivatives by the body's roll rate and acceleration, and by each rank's lift, lift rate and acceleration */
     double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS];
-    double rest;                       /* what a linear form of these leaves of the slope row */
-    double inboard; /* its part by the way inboard, and the derivatives by relative errors of that */
-    double per_shortening, per_further_shortening;
-    double gain;                       /* what a unit of force adds to the row */
-    double lean;                       /* what tilt and force read together */
-    double variance;                   /* by accelerations that the measured sums do not tell apart */
-    double blow_variance;              /* the same by a blow, whose shares are not a gust's */
+    double per_shortening, per_further_shortening; /* by relative errors of the way inboard */
+    double rest;          /* what a linear form of these leaves of the slope row */
+    double gain;          /* what a unit of force adds to the row */
+    double lean;          /* what tilt and force read together */
+    double variance;      /* by accelerations that the measured sums do not tell apart */
+    double blow_variance; /* the same by a blow, whose shares are not a gust's */
     /* the force as it is expected without the measured acceleration, for the row that measures it, and its derivatives
      * by that of this tip and of the other */
     double expected, per_measured, per_other;
@@ -234,7 +233,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
     double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2], across = p_dot + turning;
-    double accelerations[MAX_RANKS], instruments[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS], by_rates[MAX_RANKS], by_lifts[MAX_RANKS];
+    double accelerations[MAX_RANKS], instruments[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS];
+    double by_rates[MAX_RANKS], by_lifts[MAX_RANKS], inboard = 0.0;
     double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0, by_sum = 0.0;
     find_lift_rates(f, k, side, share, accelerations, rates, inside);
     find_instruments(f, k, side, share, accelerations, instruments);
@@ -244,25 +244,26 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
         double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
-            double estimated = (a || b ? further : lowest) * K[a * f->ranks + b];
-            double shortening = measured ? estimated : 0.0;
+            double believed = measured ? K[a * f->ranks + b] : 0.0, factor = a || b ? further : lowest;
+            double shortening = factor * believed, by_instruments = instruments[b] * mean_lift;
+            *(a || b ? &tip.per_further_shortening : &tip.per_shortening) -=
+                believed * (by_instruments + (rates[b] + inside[b]) * rates[a]);
             by_lift += shortening * accelerations[b];
             by_instrument += shortening * instruments[b];
-            double inward = instruments[b] * mean_lift + (rates[b] + inside[b]) * rates[a];
-            *(a || b ? &tip.per_further_shortening : &tip.per_shortening) -= measured ? K[a * f->ranks + b] * inward : 0.0;
             by_rate += shortening * rates[b];
             by_moment += shortening * inside[b];
             tip.per_acceleration[b] -= shortening * lift;
-            tip.expected -= estimated * (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
+            tip.expected -= factor * K[a * f->ranks + b] *
+                            (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
-        /* an earlier p': the state's, estimated from the same tips, goes with the error of p' w and teaches false lifts */
+        /* an earlier p': the state's goes with the error of p' w, and teaches false lifts */
         tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;
-        tip.inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
+        inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
@@ -293,8 +294,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     tip.per_roll_acceleration += tip.per_measured * f->lever_m[side] + tip.per_other * f->lever_m[1 - side];
     linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
     /* the measured acceleration has what the tilt shows of all this */
-    tip.inboard -= tip.per_measured * sign * slope * (tip.force + tip.inboard);
-    tip.force += tip.inboard;
+    inboard -= tip.per_measured * sign * slope * (tip.force + inboard);
+    tip.force += inboard;
     /* the row is the arc tangent of all lateral force over the vertical one */
     double read = f->rows[k * ROWS + Y_LEFT + side], gain = f->lateral_gain[2 * k + side];
     double all = tip.force + sign * f->lateral_mps2[2 * k + side]; /* by 1 / cos(slope), once it is turned */
@@ -831,8 +832,8 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
     return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
-           extent(record->earlier_roll_radps2, 0) >= last && extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1 &&
-           extent(record->root_motion_variance, 0) >= last;
+           extent(record->earlier_roll_radps2, 0) >= last && extent(record->root_motion_variance, 0) >= last &&
+           extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1;
 }
 
 static bool read_state(const state_record *record, run *f)
