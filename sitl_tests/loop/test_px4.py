@@ -18,7 +18,7 @@ from companion.sim.vehicle.px4 import interval_means
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, MS, SimulatedService
 from sitl_tests.loop.test_vehicle_doctor import Ward, wrong
 
-FLOWN_S = 15.0
+FLOWN_S = 16.0
 
 
 @pytest.fixture(scope="module")
