@@ -202,12 +202,16 @@ def test_a_velocity_or_an_acceleration_is_integrated_and_never_passes_for_a_disp
         diagnose_forced([unnamed], BAND_HZ, 3, lambda _what, _ratio: None)
 
 
+def _with_noise(entry: ForcedRecording, ratio: float, seed: int) -> ForcedRecording:
+    """The recording with white noise in its response, a ratio of that one's standard deviation."""
+    noise = ratio * entry.response.std() * np.random.default_rng(seed).standard_normal(COUNT)
+    return dataclasses.replace(entry, response=entry.response + noise)
+
+
 @pytest.mark.parametrize("ratio", [0.01, 0.05])
 def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float) -> None:
     """With rows of nothing but noise the coefficient came out 6 to 22 % too small, by up to 27 sigma."""
-    entry = driven(3, 4.0, noise=0.0, swept_hz=(20.0, 150.0))
-    noise = ratio * entry.response.std() * np.random.default_rng(6).standard_normal(COUNT)
-    noisy = dataclasses.replace(entry, response=entry.response + noise)
+    noisy = _with_noise(driven(3, 4.0, noise=0.0, swept_hz=(20.0, 150.0)), ratio, 6)
     plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
     assert not plain["notes"]
     coefficient = plain["causes"][0]["parameters"]["coefficient"]
@@ -218,9 +222,7 @@ def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float) -> No
 @pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (0.3, True)])
 def test_a_bias_that_is_too_large_to_be_taken_off_is_noted(ratio: float, noted: bool) -> None:
     """A stiffness of 0.3 instead of 1 came out as adequate, without a word."""
-    entry = driven(1, 0.0)
-    noise = ratio * entry.response.std() * np.random.default_rng(8).standard_normal(COUNT)
-    noisy = dataclasses.replace(entry, response=entry.response + noise)
+    noisy = _with_noise(driven(1, 0.0), ratio, 8)
     plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
     assert any("draws the coefficients to 0" in note for note in plain["notes"]) == noted
     assert (plain["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.01)) == (not noted)
@@ -229,9 +231,7 @@ def test_a_bias_that_is_too_large_to_be_taken_off_is_noted(ratio: float, noted: 
 @pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (1.0, True)])
 def test_an_equation_that_leaves_most_of_the_force_is_noted(ratio: float, noted: bool) -> None:
     """With noise as large as the response, a stiffness of 0.07 instead of 1 was adequate without a word."""
-    entry = driven(1, 0.0)
-    noise = ratio * entry.response.std() * np.random.default_rng(8).standard_normal(COUNT)
-    noisy = dataclasses.replace(entry, response=entry.response + noise)
+    noisy = _with_noise(driven(1, 0.0), ratio, 8)
     plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
     assert any("% of the force: the response is noise" in note for note in plain["notes"]) == noted
 
