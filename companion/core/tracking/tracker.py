@@ -229,7 +229,7 @@ class WingTracker:
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
         """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
         if self._adaptation.refilter:
-            return self._fresh(model, noise, self._kalman.bias_parameters.copy())
+            return self._fresh(model, noise, self._kalman.bias_parameters)
         if alike(model.parameters, self._kalman.model.parameters):
             return None
         tried = self._trial_filter.fork(model)
