@@ -123,8 +123,10 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks i
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_killing_the_service_ends_its_processes_and_frees_the_port(fly: Callable[..., Flight], tmp_path: Path) -> None:
-    flight = fly("--record", str(tmp_path / "flight.mcap"))
+    recording = tmp_path / "flight.mcap"
+    flight = fly("--record", str(recording))
     flight.ready()
+    flight.until(lambda: recording.exists() and recording.stat().st_size > 0)  # the recorder opens it when it has started
     children = flight.children()
     assert len(children) >= 2, "inertial and recorder at least"
     flight.process.send_signal(signal.SIGKILL)
@@ -136,7 +138,7 @@ def test_killing_the_service_ends_its_processes_and_frees_the_port(fly: Callable
     print(f"children gone {time.monotonic() - killed_s:.2f} s after their parent")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
         again.bind(("127.0.0.1", flight.port))
-    assert list(McapRecording(tmp_path / "flight.mcap").records())
+    assert list(McapRecording(recording).records())
 
 
 @linux
