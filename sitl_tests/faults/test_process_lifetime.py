@@ -126,7 +126,7 @@ def test_killing_the_service_ends_its_processes_and_frees_the_port(fly: Callable
     recording = tmp_path / "flight.mcap"
     flight = fly("--record", str(recording))
     flight.ready()
-    flight.until(lambda: recording.exists() and recording.stat().st_size > 0)  # the recorder opens it when it has started
+    flight.until(lambda: recording.exists() and recording.stat().st_size > 0)  # it says so before
     children = flight.children()
     assert len(children) >= 2, "inertial and recorder at least"
     flight.process.send_signal(signal.SIGKILL)
