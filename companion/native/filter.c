@@ -258,8 +258,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
-        /* an earlier p': the state's goes with the error of p' w, and teaches false lifts */
-        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
+        /* without p', whose error p' w has too: false lifts would be learned */
+        tip.per_lift[a] = turning - by_instrument;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;

@@ -186,7 +186,8 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
 def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: int | None) -> None:
     """Coriolis' and Euler's force and the way inboard: the prediction's difference quotient by every state.
 
-    The roll acceleration of some epochs before, which the derivative by a lift has, is the present one here.
+    The roll acceleration of some epochs before, which the derivatives have, is the present one here; the derivative of
+    Euler's force ``p' w`` by the lift is left out.
     """
     kalman = _filter()
     const, model, _, _ = _kernel_arguments(kalman)
@@ -215,7 +216,9 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         step[i] = 1e-4
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
-        assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
+        lifts = np.array([model.linearisation_rows[6 + side :: 6, i][: kalman.layout.ranks].sum() for side in (0, 1)])
+        by_euler = epochs.lateral_gain[5] * roll_accel * lifts
+        assert -quotient == pytest.approx(H[:, i] + by_euler, abs=0.02 * tilt), f"state {i}"
         if i == kalman.layout.roll_rate:
             assert -quotient == pytest.approx(H[:, i], rel=0.01)
         if i == kalman.layout.roll_accel:  # H has nothing of the lift rate's share, h p y of a measured tip

@@ -251,7 +251,7 @@ def test_what_was_learned_on_the_ground_is_forgotten_at_lift_off() -> None:
     """On its wheels a wing does not bend by its load factor: what that taught the constants does not fly."""
     t, values = swinging(13.0, 0.005)
     rolling = {station: v.copy() for station, v in values.items()}
-    rolling[Station.LEFT][:, 1] += 2.0
+    rolling[Station.LEFT][:, 1] += 3.0
     tracker, _ = _run(t, rolling)
     learned = np.abs(tracker._kalman.bias_parameters / tracker._layout.bias_parameter_sigma).max()
     assert learned > 3.0, "a lateral force that no flight has"

@@ -348,7 +348,7 @@ def _moving_tip(
     sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
     along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
     force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    row = (epochs.earlier_roll_radps2[k] + by_gyros - K @ instruments) @ lift_rows
+    row = (by_gyros - K @ instruments) @ lift_rows
     row = row + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
     row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
