@@ -9,7 +9,7 @@ known of them ages). The filter carries the states together with their exact sen
 |---|---|---|---|
 | ``q``, ``v`` of each mode | m, m/s | stationary | through the load, :mod:`companion.core.tracking.model` |
 | ``gust_1``, ``gust_2`` of each mode | m/s^2 | stationary | white noise through two real poles |
-| ``roll_rate``, ``roll_accel`` | rad/s, rad/s^2 | 3^2, 3^2 | first-order process, 3 rad/s^2, 5 Hz |
+| ``roll_rate``, ``roll_accel`` | rad/s, rad/s^2 | 3^2, 21^2 | first-order process, 0.1 Hz, driven by white jerk |
 | ``row_bias_states`` | m/s^2, rad/s | ``bias_prior_covariance`` | first-order process, ``bias_time_s`` |
 
 Measurement rows: of both tips the mean and the first moment of the vertical axis (m/s^2), the bending slope seen by the
