@@ -15,7 +15,7 @@
 #define TILT_FOR_LATERAL_ERROR 0.05 /* chosen, rad: tip slope by which a lateral error enters a vertical row */
 
 enum { LATERAL = 1, ROLL = 3 };                              /* channels */
-enum { KZ, KY, KP, MX, MY, MZ, TAU, BP, BR, ERRORS };        /* in error_jacobians.py's order */
+enum { KZ, KY, KP, MX, MY, MZ, TAU, HEIGHT, BP, BR, ERRORS }; /* in error_jacobians.py's order */
 enum { SLOTS = 6 + 6 + 2 * (6 + 6 + 3 + 3) + 3 };   /* doubles per epoch in a motion */
 
 /* Density of the root's accelerometer, and usual change by smoothing: vertical, lateral force, roll rate. */
@@ -209,8 +209,9 @@ static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, 
                        double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    double root[CHANNELS];
+    double root[CHANNELS], earlier[CHANNELS];
     mean_before(m->smooth, CHANNELS, m, k, root);
+    mean_before(m->d_smooth, CHANNELS, m, k, earlier);
     const double *now = m->rigid[side] + 3 * k, *turn = root + ROLL;
     double y = tip[1], z = tip[2], scaled_y = y + before[1] - now[1], scaled_z = z + before[2] - now[2];
     double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
@@ -226,6 +227,8 @@ static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, 
     set(j, roll, columns[MY], -turn[2]);
     set(j, lateral, columns[MZ], -before[0] * gain);
     set(j, roll, columns[MZ], turn[1]);
+    set(j, vertical, columns[HEIGHT], squared(turn[0]) + squared(turn[1]));
+    set(j, lateral, columns[HEIGHT], (earlier[ROLL] - turn[1] * turn[2]) * gain);
     set(j, vertical, columns[TAU], -rate[2]);
     set(j, lateral, columns[TAU], -(rate[1] - (y - now[1]) * rate[2] * fabs(gain) * sign_of(z)) * gain);
     set(j, roll, columns[TAU], -rate[3]);
@@ -246,6 +249,8 @@ static void root_errors(const jacobian *j, const motion *m, int64_t k, int side,
     set(j, lateral, columns[MX], -z * gain);
     set(j, vertical, columns[MY], -x);
     set(j, lateral, columns[MZ], x * gain);
+    set(j, vertical, columns[HEIGHT], -squared(p) - squared(q));
+    set(j, lateral, columns[HEIGHT], (q * r - m->d_smooth[k * CHANNELS + ROLL]) * gain);
     set(j, vertical, columns[TAU], d_force[2]);
     set(j, lateral, columns[TAU], d_force[1] * gain);
     set(j, vertical, columns[BP], 2.0 * arm[2] * p - arm[0] * r);

@@ -28,6 +28,7 @@ typedef struct {
     const array *slope_factor_rows, *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources,
         *regressor_signs, *lever_m, *shortening_pm;
     int64_t shortening_column, further_shortening_column;
+    const array *height_column;
 } constants_record;
 
 typedef struct {
@@ -71,7 +72,7 @@ typedef struct {
 typedef struct {
     const constants_record *constants;
     const double *sensor_variance, *bias_projection, *regressor_signs, *lever_m, *shortening_pm;
-    const int64_t *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state, *slope_factor_rows,
+    const int64_t *lateral_bias_state, *roll_misalignment_column, *height_column, *vertical_bias_state, *slope_factor_rows,
         *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources;
     int64_t slope_factors, regressors;
 
@@ -200,6 +201,12 @@ static void find_lift_rates(const run *f, int64_t k, int side, rank_shares share
     }
 }
 
+/* How much higher than in the airframe file a tip's sensor is estimated to sit. */
+static double height_of_tip(const run *f, int side)
+{
+    return f->height_column[side] ? f->one_and_bias[f->height_column[side]] : 0.0;
+}
+
 /* Estimated over believed way inboard. */
 static double shortening_factor(const run *f, int64_t column)
 {
@@ -258,8 +265,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
-        /* without p', whose error p' w has too: false lifts would be learned */
-        tip.per_lift[a] = turning - by_instrument;
+        /* an earlier p': the state's goes with the error of p' w, and teaches false lifts */
+        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
         tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.per_roll_rate += 2.0 * rates[a];
         tip.per_roll_acceleration += lift;
@@ -268,6 +275,10 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
+    double height = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
+    tip.force += across * height;
+    tip.expected += across * height;
+    tip.per_roll_acceleration += height;
     /* half a step of each is in its rate */
     for (int64_t b = 0; b < f->ranks; b++) {
         tip.per_acceleration[b] += step_s * ((measured ? 0.0 : p) - by_rates[b]);
@@ -452,6 +463,8 @@ static void find_innovation(run *f, int64_t k, double *out)
         }
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
+            if (f->height_column[side]) /* the force has it at the estimate */
+                out[r * width] -= out[r * width + f->height_column[side]] * height_of_tip(f, side);
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
             out[r * width] += f->tip[side].rest;
             const moving_tip *tip = &f->tip[side];
@@ -763,6 +776,7 @@ static bool read_constants(const constants_record *record, run *f)
     f->sensor_variance = reals(record->sensor_variance, 1, &good);
     f->lateral_bias_state = integers(record->lateral_bias_state, 1, &good);
     f->roll_misalignment_column = integers(record->roll_misalignment_column, 1, &good);
+    f->height_column = integers(record->height_column, 1, &good);
     f->vertical_bias_state = integers(record->vertical_bias_state, 1, &good);
     f->bias_projection = reals(record->bias_projection, 2, &good);
     f->slope_factor_rows = integers(record->slope_factor_rows, 1, &good);

@@ -144,6 +144,7 @@ class Sensor:
     gyro_scale_sigma: float = 0.0
     misalignment_sigma_rad: float = 0.0
     time_offset_sigma_s: float = 0.0
+    height_sigma_m: float = 0.0
     accel_range_mps2: float = 157.0
     gyro_range_radps: float = 34.9
     lowpass_accel_hz: float = 0.0

@@ -65,6 +65,7 @@ RANGES: dict[str, dict[str, Range]] = {
         "gyro_scale_sigma": Range(0, 0.5, "", "a sigma, 0.005 for 0.5 %"),
         "misalignment_sigma_rad": Range(0, 0.5, "rad", "a sigma"),
         "time_offset_sigma_s": Range(0, 0.5, "s", "a sigma"),
+        "height_sigma_m": Range(0, 1, "m", "a sigma"),
         "accel_range_mps2": Range(10, 1e5, "m/s^2", "it must hold gravity"),
         "gyro_range_radps": Range(0.1, 1e4, "rad/s", "beyond it a sample is saturated"),
         "lowpass_accel_hz": Range(0, 50_000, "Hz", "0 for none"),

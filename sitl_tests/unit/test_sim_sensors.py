@@ -59,6 +59,7 @@ def test_draws_follow_the_priors(airframe: Airframe) -> None:
     normal([t.errors[Station.LEFT].accel_scale[2] for t in truths], 0.0, airframe.left.accel_scale_sigma)
     normal([t.errors[Station.RIGHT].misalignment_rad[0] for t in truths], 0.0, airframe.right.misalignment_sigma_rad)
     normal([t.errors[Station.LEFT].time_offset_s for t in truths], 0.0, airframe.left.time_offset_sigma_s)
+    normal([-t.actual.left.position_m[2] for t in truths], 0.0, airframe.left.height_sigma_m)
     left, believed = [t.actual.left_camera for t in truths], airframe.left_camera
     assert believed is not None
     normal([c.rotation_rad[1] for c in left if c], 0.0, believed.rotation_sigma_rad)

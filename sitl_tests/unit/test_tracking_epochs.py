@@ -99,6 +99,40 @@ def test_a_bias_of_the_root_s_rates_shows_as_the_tips_centripetal_force(axis: in
     assert np.abs(jacobian).max(axis=0).min() > 0.01
 
 
+@pytest.mark.parametrize("station", Station)
+def test_a_sensor_that_sits_higher_feels_the_turn_of_its_arm(station: Station) -> None:
+    """Against the force ``Omega' x r + Omega x (Omega x r)`` itself, while the roll begins and ends."""
+    airframe = plain_airframe()
+    sensors = {
+        place: dataclasses.replace(getattr(airframe, place), height_sigma_m=0.005)
+        for place in ("root", "left", "right")
+    }
+    airframe = dataclasses.replace(airframe, **sensors)
+    layout, beat_radps = make_layout(airframe), 2.0 * np.pi * 0.5
+
+    def measured(height_m: float) -> tuple[np.ndarray, np.ndarray]:
+        t, values = swinging(1.5, 0.0)
+        streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
+        turn = beat_radps * (t - EPOCH_NS) * 1e-9
+        rate = np.stack([0.5 * np.sin(turn), np.full(len(t), -0.3), np.full(len(t), 0.4)], axis=1)
+        change = np.stack([0.5 * beat_radps * np.cos(turn), np.zeros(len(t)), np.zeros(len(t))], axis=1)
+        for other, v in values.items():
+            arm_m = np.array([0.0, 0.0, -height_m * (other is station)])
+            v[:, :3] += np.cross(change, arm_m) + np.cross(rate, np.cross(rate, arm_m))
+            v[:, 3:] = rate
+            streams[other].add(batch(other, t, v), 0)
+        epochs = _builder(airframe, layout, streams).epochs(EPOCH_NS + 25 * STEP_NS, STEP_NS, 320)
+        rows = [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]
+        return epochs.rows[20:, rows], epochs.sensitivity[20:, rows]
+
+    (higher, _), (in_place, sensitivity) = measured(0.005), measured(0.0)
+    jacobian = (higher - in_place) / 0.005
+    column = layout.bias_parameters.index(f"{station.name.lower()}.height")
+    assert np.abs(jacobian).max() > 0.1
+    delayed = 1.05 * 0.034 * 0.5**2 * beat_radps  # the sensitivity has the roll of 34 ms before
+    np.testing.assert_allclose(sensitivity[:, :, column], jacobian, atol=delayed)
+
+
 def test_what_is_lost_between_samples_is_each_tips_own() -> None:
     """Nodes sample at instants of their own: under a load that moves both tips alike their moments still differ."""
     airframe = plain_airframe()

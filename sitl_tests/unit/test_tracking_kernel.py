@@ -186,8 +186,7 @@ def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
 def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: int | None) -> None:
     """Coriolis' and Euler's force and the way inboard: the prediction's difference quotient by every state.
 
-    The roll acceleration of some epochs before, which the derivatives have, is the present one here; the derivative of
-    Euler's force ``p' w`` by the lift is left out.
+    The roll acceleration of some epochs before, which the derivative by a lift has, is the present one here.
     """
     kalman = _filter()
     const, model, _, _ = _kernel_arguments(kalman)
@@ -216,9 +215,7 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
         step[i] = 1e-4
         quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-4
         tilt = np.abs(model.H[Y_LEFT : Y_LEFT + 2, i]).max() + 1.0
-        lifts = np.array([model.linearisation_rows[6 + side :: 6, i][: kalman.layout.ranks].sum() for side in (0, 1)])
-        by_euler = epochs.lateral_gain[5] * roll_accel * lifts
-        assert -quotient == pytest.approx(H[:, i] + by_euler, abs=0.02 * tilt), f"state {i}"
+        assert -quotient == pytest.approx(H[:, i], abs=0.02 * tilt), f"state {i}"
         if i == kalman.layout.roll_rate:
             assert -quotient == pytest.approx(H[:, i], rel=0.01)
         if i == kalman.layout.roll_accel:  # H has nothing of the lift rate's share, h p y of a measured tip
@@ -254,6 +251,36 @@ def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
         by_parameter = innovation(K)[:, 1 + parameters.index(name)]
         assert np.abs(quotient).max() > 1e-4, name
         assert quotient == pytest.approx(by_parameter, rel=0.05, abs=1e-5), name
+
+
+def test_an_estimated_height_is_in_the_prediction_with_the_roll_of_the_state() -> None:
+    """Less its part in the sensitivity, which has the roll acceleration of some epochs before."""
+    kalman = _filter()
+    const, model, _, _ = _kernel_arguments(kalman)
+    epochs = _epochs(kalman, 0.0)
+    epochs = epochs._replace(rows=0.01 * epochs.rows, sensitivity=np.zeros_like(epochs.sensitivity))
+    state = np.zeros(kalman.layout.size + 1)
+    roll_accel_radps2 = state[kalman.layout.roll_accel] = 2.0
+    present, height_m = epochs.lateral_gain[5], 0.01
+
+    def innovations(height_m: float, roll_before_radps2: float) -> Floats:
+        """Innovations of both slope rows with all heights zero, by a filter that takes them for ``height_m``."""
+        believed = _believed(kalman)
+        believed[const.height_column] = height_m
+        for side in (0, 1):
+            sensitivity = epochs.lateral_gain[5, side] * roll_before_radps2
+            epochs.sensitivity[5, Y_LEFT + side, const.height_column[side] - 1] = sensitivity
+        residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
+        residual[:, 0] = epochs.rows[5]
+        kernel_numpy._linearise(const, model, epochs, 5, state, believed, residual, H)
+        return (residual[:, 0] - H @ state)[Y_LEFT : Y_LEFT + 2]
+
+    turning = -epochs.body_rate_radps[5, 1] * epochs.body_rate_radps[5, 2]
+    without = innovations(0.0, roll_accel_radps2)
+    at_once = innovations(height_m, roll_accel_radps2 + turning)
+    late = innovations(height_m, turning)
+    assert at_once == pytest.approx(without, abs=1e-5)
+    assert without - late == pytest.approx(present * roll_accel_radps2 * height_m, rel=0.02)
 
 
 def test_rows_are_linear_about_the_estimated_way_inboard() -> None:

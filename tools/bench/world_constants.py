@@ -31,7 +31,9 @@ def constants(tracker: WingTracker, believed: Airframe, real: TruthAirframe) -> 
     true["shortening"] = actual.shortening.value / wing.shortening.value - 1.0
     true["further_shortening"] = _by_second_mode(actual) / _by_second_mode(wing) - 1.0
     for station in (Station.LEFT, Station.RIGHT):
-        true |= {f"{station.name.lower()}.{name}": value for name, value in _errors(real.errors[station]).items()}
+        place = station.name.lower()
+        true |= {f"{place}.{name}": value for name, value in _errors(real.errors[station]).items()}
+        true[f"{place}.height"] = believed.sensor(station).position_m[2] - real.actual.sensor(station).position_m[2]
     judged = {name: [*estimate, true[name]] for name, estimate in tracker.bias_parameters().items() if name in true}
     return judged | _modal(tracker, real)
 

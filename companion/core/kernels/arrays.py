@@ -141,6 +141,8 @@ class FilterConstants(NamedTuple):
     shortening_column, further_shortening_column : int
         Columns of the relative error of that by the lowest modes alone, and of all that further modes have in it; 0
         where it is not estimated.
+    height_column : (2,) int64
+        Columns of the tips' heights over their places in the airframe file, 0 where they are certain.
     """
 
     step_s: float
@@ -166,6 +168,7 @@ class FilterConstants(NamedTuple):
     shortening_pm: Floats
     shortening_column: int
     further_shortening_column: int
+    height_column: Ints
 
 
 class DiscreteModel(NamedTuple):

@@ -133,4 +133,5 @@ def kernel_constants(
         ),
         shortening_column=layout.column("shortening") or 0,
         further_shortening_column=layout.column("further_shortening") or 0,
+        height_column=np.array([layout.column(f"{place}.height") or 0 for place in ("left", "right")], np.int64),
     )

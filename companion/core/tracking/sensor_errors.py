@@ -58,6 +58,10 @@ def _time_offset(sensor: Sensor) -> float:
     return sensor.time_offset_sigma_s
 
 
+def _height(sensor: Sensor) -> float:
+    return sensor.height_sigma_m
+
+
 SENSOR_ERRORS: Mapping[str, SensorError] = MappingProxyType(
     {
         "kz": SensorError(_where_sent("z", _accel_scale), "vertical scale", 100.0, "%"),
@@ -67,6 +71,7 @@ SENSOR_ERRORS: Mapping[str, SensorError] = MappingProxyType(
         "my": SensorError(_misalignment, "mounting about y", 1e3, "mrad"),
         "mz": SensorError(_misalignment, "mounting about z", 1e3, "mrad"),
         "tau": SensorError(_time_offset, "stamp offset", 1e3, "ms"),
+        "height": SensorError(_where_sent("y", _height), "height", 1e3, "mm"),
     }
 )
 """Errors of every station."""

@@ -84,6 +84,10 @@ def draw_truth(airframe: Airframe, rng: np.random.Generator, effects: tuple[Name
     errors = {station: _sensor_errors(airframe.sensor(station), rng) for station in Station}
     clocks = {name: _clock(rng) for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)}
     ratio = _ANTISYMMETRIC_RATIO * math.exp(0.2 * rng.standard_normal())
+    (later,) = rng.spawn(1)  # what came later to the file leaves the draws of all else as they were
+    actual = dataclasses.replace(
+        actual, root=_placed(actual.root, later), left=_placed(actual.left, later), right=_placed(actual.right, later)
+    )
     return TruthAirframe(actual, errors, clocks, ratio * gust.deflection_rms_m.value)
 
 
@@ -127,6 +131,13 @@ def _mounted(camera: Camera | None, rng: np.random.Generator) -> Camera | None:
     turn = np.array(camera.rotation_rad) + camera.rotation_sigma_rad * rng.standard_normal(3)
     x, y, z = turn.tolist()
     return dataclasses.replace(camera, rotation_rad=(x, y, z), rotation_sigma_rad=0.0)
+
+
+def _placed(sensor: Sensor, rng: np.random.Generator) -> Sensor:
+    """The sensor higher or lower by its prior."""
+    x, y, z = sensor.position_m
+    height_m = sensor.height_sigma_m * float(rng.standard_normal())
+    return dataclasses.replace(sensor, position_m=(x, y, z - height_m), height_sigma_m=0.0)
 
 
 def _sensor_errors(sensor: Sensor, rng: np.random.Generator) -> SensorErrors:

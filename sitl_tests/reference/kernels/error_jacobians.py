@@ -12,8 +12,8 @@ from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT,
 from companion.records import Bools, Floats, Ints
 
 _PLACES = {name: at for at, name in enumerate((*SENSOR_ERRORS, *ROOT_ERRORS))}
-_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = (
-    _PLACES[name] for name in ("kz", "ky", "kp", "mx", "my", "mz", "tau", "bp", "br")
+_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _HEIGHT, _BP, _BR = (
+    _PLACES[name] for name in ("kz", "ky", "kp", "mx", "my", "mz", "tau", "height", "bp", "br")
 )
 
 
@@ -103,7 +103,9 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     tip, rate = motion.tip[:, side], motion.d_tip[:, side]
     y, z, p = tip[:, 1], tip[:, 2], tip[:, 3]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
-    rigid, omega = (mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega))
+    rigid, omega, omega_dot = (
+        mean_before(each, motion.root_present) for each in (motion.rigid[:, side], motion.omega, motion.omega_dot)
+    )
     vertical, lateral, roll = Z_LEFT + side, Y_LEFT + side, P_LEFT + side
     scaled_y, scaled_z = with_earlier_rigid(motion, side, 1), with_earlier_rigid(motion, side, 2)
     lean = y - motion.rigid[:, side, 1]
@@ -118,6 +120,8 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     _set_column(out, roll, columns[_MY], -omega[:, 2])
     _set_column(out, lateral, columns[_MZ], -rigid[:, 0] * gain)
     _set_column(out, roll, columns[_MZ], omega[:, 1])
+    _set_column(out, vertical, columns[_HEIGHT], omega[:, 0] ** 2 + omega[:, 1] ** 2)
+    _set_column(out, lateral, columns[_HEIGHT], (omega_dot[:, 0] - omega[:, 1] * omega[:, 2]) * gain)
     _set_column(out, vertical, columns[_TAU], -dz)
     _set_column(out, lateral, columns[_TAU], -(dy - lean * dz * np.abs(gain) * np.sign(z)) * gain)
     _set_column(out, roll, columns[_TAU], -dp)
@@ -158,6 +162,9 @@ def _root_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     _set_column(out, lateral, columns[_MX], -z * gain)
     _set_column(out, vertical, columns[_MY], -x)
     _set_column(out, lateral, columns[_MZ], x * gain)
+    q, r = motion.omega[:, 1], motion.omega[:, 2]
+    _set_column(out, vertical, columns[_HEIGHT], -(p**2) - q**2)
+    _set_column(out, lateral, columns[_HEIGHT], (q * r - motion.omega_dot[:, 0]) * gain)
     _set_column(out, vertical, columns[_TAU], motion.d_root[:, 2])
     _set_column(out, lateral, columns[_TAU], motion.d_root[:, 1] * gain)
     _root_biases(out, motion, side, gain, columns)

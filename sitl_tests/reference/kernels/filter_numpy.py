@@ -231,6 +231,10 @@ def _linearise(
         if column:  # of the lateral force the Jacobian has the rigid one: here is the rest
             rest = (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side] + force[side]
             residual_columns[Z_LEFT + side, column] += rest
+    for side, column in enumerate(const.height_column.tolist()):
+        if column:  # the force has it at the estimate
+            sensitivity = epochs.sensitivity[k, Y_LEFT + side, column - 1]
+            residual_columns[Y_LEFT + side, 0] += sensitivity * one_and_bias[column]
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side, tip in enumerate(tips):
         residual_columns[Y_LEFT + side, 0] += tip.rest
@@ -325,7 +329,10 @@ def _moving_tip(
     by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
     turning = p_dot + by_gyros
     shortening, step_s = const.shortening_pm[side] * factors, const.step_s
-    expected = 2.0 * p * rate.sum() + turning * lift.sum() - lift @ shortening @ accel - rate @ shortening @ rate
+    height_column = int(const.height_column[side])
+    height = float(one_and_bias[height_column]) if height_column else 0.0
+    raised = lift.sum() + height
+    expected = 2.0 * p * rate.sum() + turning * raised - lift @ shortening @ accel - rate @ shortening @ rate
     of_this, of_other, covariance = _rank_shares(model, epochs.present[k, Z_LEFT : Z_LEFT + 2], side)
     beyond = [_beyond_expected(const, model, epochs, k, tip, state) for tip in (side, 1 - side)]
     accel = accel + of_this * beyond[0] + of_other * beyond[1]
@@ -346,14 +353,14 @@ def _moving_tip(
     variance, blow_variance = (float(apart @ C @ apart) for C in (covariance, model.lift_acceleration_covariance[2]))
     per_accel = per_accel - 2.0 * quarter_s2 * by_lift
     sign, per_measured, per_other = 1.0 - 2.0 * side, float(of_this @ per_accel), float(of_other @ per_accel)
-    along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * lift.sum() - along)
-    force = 2.0 * p * rate.sum() + turning * lift.sum() - along
-    row = (by_gyros - K @ instruments) @ lift_rows
+    along += per_measured * sign * slope * (2.0 * p * rate.sum() + turning * raised - along)
+    force = 2.0 * p * rate.sum() + turning * raised - along
+    row = (epochs.earlier_roll_radps2[k] + by_gyros - K @ instruments) @ lift_rows
     row = row + (2.0 * (p - K @ rate) - inside) @ rate_rows
     row = row + (per_accel - per_measured) @ accel_rows + 2.0 * rate.sum() * p_row
     row = row - per_other * model.linearisation_rows[11 - side : 6 + 6 * ranks : 6].sum(axis=0)
     by_roll = per_measured * float(const.lever_m[side]) + per_other * float(const.lever_m[1 - side])
-    row = row + (lift.sum() + by_roll) * a_row  # the roll lifts the tips as well
+    row = row + (raised + by_roll) * a_row  # the roll lifts the tips as well
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
     turned = 0.5 * slope**2 * (force + sign * float(epochs.lateral_mps2[k, side]))
     lean = math.tan(read) - gain * (force + turned)
