@@ -278,20 +278,20 @@ class SeparatedBiasFilter:
         gate_excess: Floats = self.history.gate_excess[np.arange(first, first + count) % self.history_length]
         return gate_excess
 
-    def innovations(self, count: int) -> tuple[Floats, Floats]:
-        """Innovations (count, 9) of the newest steps and their covariance (count, 9, 9), lower half.
+    def innovations(self, count: int, *, of_all: bool = False) -> tuple[Floats, Floats]:
+        """Innovations (count, 9) of the newest steps and their covariance ``S + D P_c D^T`` (count, 9, 9), lower half.
 
-        ``S + D P_c D^T``: by noise, state and bias parameters, whose share would pass for noise.
+        P_c is of those bias parameters that a flight may teach, or of all: any one's share would pass for noise.
         """
-        P_c = self._bias_covariance[np.ix_(self._teachable, self._teachable)]
+        parameters = np.arange(len(self.bias_parameters)) if of_all else self._teachable
+        P_c = self._bias_covariance[np.ix_(parameters, parameters)]
         slots = np.arange(self.steps - count, self.steps) % self.history_length
         covariance = self.history.innovation_covariance[slots]
         present = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
         for used in np.unique(present, axis=0):
             at, rows = np.flatnonzero((present == used).all(axis=1)), np.flatnonzero(used)
-            block = np.ix_(at, rows, rows)
-            whitened = self.history.whitened_innovation[slots[at], : len(rows)][:, :, self._teachable + 1]
-            D = np.linalg.cholesky(covariance[block]) @ whitened
+            whitened = self.history.whitened_innovation[slots[at], : len(rows)][:, :, parameters + 1]
+            D = np.linalg.cholesky(covariance[block := np.ix_(at, rows, rows)]) @ whitened
             covariance[block] += np.tril(D @ P_c @ D.swapaxes(1, 2))
         return self.history.innovation[slots], covariance
 

@@ -223,8 +223,8 @@ class WingTracker:
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
         if self._kalman.steps * self._step_s < _BLIND_S:
             count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
-        trial = (self._model, self._trial, self._trial_epochs)
-        self._readaptation = SpreadWork(readapt(fit, self._row_noise, self._kalman.innovations(count), *trial))
+        trial = self._kalman.innovations(count, of_all=True), self._model, self._trial, self._trial_epochs
+        self._readaptation = SpreadWork(readapt(fit, self._row_noise, *trial))
 
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
         """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
