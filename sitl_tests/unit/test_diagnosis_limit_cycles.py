@@ -319,6 +319,23 @@ def test_blows_during_a_linear_decay_are_no_law() -> None:
     )
 
 
+@pytest.mark.parametrize("amplitudes", [(1.0,) * 2, (1.0, 0.5), (1.0,) * 9])
+def test_constant_cycles_without_noise_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], amplitudes: tuple[float, ...]
+) -> None:
+    """Equal to the last digit they ended in a traceback."""
+    t_s = np.arange(3000) / RATE_HZ
+    (tmp_path / "rig.toml").write_text(
+        'test = "limit-cycle"\nfiles = "*.csv"\nband_hz = [1.5, 4.5]\n[columns]\n'
+        't = { channel = "t_s", unit = "s" }\nheave = { channel = "response_heave" }\n'
+    )
+    for k, amplitude in enumerate(amplitudes):
+        table = np.stack([t_s, amplitude * np.sin(15.0 * t_s)], 1)
+        np.savetxt(tmp_path / f"run{k}.csv", table, "%.15g", ",", header="t,heave", comments="")
+    assert main(["diagnose", str(tmp_path), "--mapping", str(tmp_path / "rig.toml")]) == 0
+    assert "verdict: adequate" in capsys.readouterr().out
+
+
 def test_a_recording_at_rest_and_a_dead_leader_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng, t_s = np.random.default_rng(5), np.arange(3000) / RATE_HZ
     decay = np.exp(-0.3 * t_s) * np.sin(15.0 * t_s)

@@ -1,9 +1,9 @@
 """Regressions under the engine: several responses, each linear in its terms, each with a noise that is fitted.
 
-Row i of a response is y_i = x_i . theta + e_i, e_i normal with standard deviation exp(s_g) b_i, b_i given, g its group
-of equal noise. With r the residual in that unit, l = sum(-r^2/2 - s_g - ln b_i), its gradient sum(x r / (e^s b)) by
-theta and sum(r^2 - 1) by s_g, its information sum(x x^T / (e^s b)^2) and 2 n_g. Each is multiplied by the ratio of rows
-that are independent.
+Row i of a response is y_i = x_i . theta + e_i, e_i normal with variance n_i^2 = b_i^2 (e^2s + f^2), b_i given, s of its
+group of equal noise, f what no instrument resolves. With r the residual over n and c = (e^s b / n)^2, l = sum(-r^2/2 -
+ln n), its gradient sum(x r / n) by theta and sum(c (r^2 - 1)) by s, its information sum(x x^T / n^2) and 2 sum(c^2).
+Each is multiplied by the ratio of rows that are independent.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ _NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way (choice)
 _DRAWS = 400  # of the model: the spread of a statistic is then known to 4 % (choice)
 _SEED = 20250104  # convention: any fixed number
 _FEWEST = 8  # rows of a response that can be tested (choice)
+_RESOLVED = 1e-4  # of the noise where it is sought: what no instrument resolves (choice)
+_ROUNDING = 1e-2  # of the noise's square, below which residuals are rounding: their order says nothing (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,13 +191,14 @@ class RegressionModel:
         count = len(values)
         gradient, information = np.zeros(count), np.zeros((count, count))
         for k, use in enumerate(self.use):
-            r, ratio = self.residual(values, k)[use], self.responses[k].independent_ratio
-            white = self._design[k][use] / self.noise(values, k)[use, None]
+            entry, noise = self.responses[k], self.noise(values, k)[use]
+            ratio, fitted = entry.independent_ratio, 1.0 - (_RESOLVED * entry.noise * entry.scale[use] / noise) ** 2
+            r, white = self.residual(values, k)[use], self._design[k][use] / noise[:, None]
             gradient += ratio * (white.T @ r)
             information += ratio * (white.T @ white)
-            place = self._first[k] + 1 + self.responses[k].group[use]
-            np.add.at(gradient, place, ratio * (r**2 - 1.0))
-            np.add.at(information, (place, place), 2.0 * ratio)
+            place = self._first[k] + 1 + entry.group[use]
+            np.add.at(gradient, place, ratio * fitted * (r**2 - 1.0))
+            np.add.at(information, (place, place), 2.0 * ratio * fitted**2)
         return Scores(self.log_likelihood(values), gradient, information, self)
 
     def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
@@ -208,7 +211,8 @@ class RegressionModel:
     def noise(self, values: Floats, response: int) -> Floats:
         """Standard deviation of each row of a response, (n,)."""
         entry = self.responses[response]
-        return np.asarray(np.exp(values[self._first[response] + 1 + entry.group]) * entry.scale)
+        fitted = np.exp(values[self._first[response] + 1 + entry.group])
+        return np.asarray(np.hypot(fitted, _RESOLVED * entry.noise) * entry.scale)
 
 
 RegressionFit = Fit[RegressionTerm, RegressionModel]
@@ -254,12 +258,13 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
         drawn = [model.draw(fitted.values, rng) for _ in range(_DRAWS)]
         tests = []
         for k, entry in enumerate(self.responses):
-            if len(entry.values) < _FEWEST:
+            white = model.residual(fitted.values, k)
+            if len(white) < _FEWEST or float(np.mean(white**2)) < _ROUNDING:
                 continue
             order = np.argsort(entry.order, kind="stable")
             spread = model.noise(fitted.values, k)
             mean = model.predicted(fitted.values, k)
-            real = _statistics(((entry.values - mean) / spread)[order])
+            real = _statistics(white[order])
             table = np.stack([_statistics(((rows[k] - mean) / spread)[order]) for rows in drawn])
             for name, value, chance in zip(("neighbours", "outliers"), real, table.T, strict=True):
                 tests.append(Check(f"{entry.name}: {name}", strength(float(value), chance), LIMIT))
