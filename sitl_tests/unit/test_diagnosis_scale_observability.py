@@ -44,6 +44,15 @@ def test_one_distance_tells_no_baseline_and_two_tell_it(distances_m: tuple[float
     assert all(said in note and "two known distances" in note for note in notes)
 
 
+def test_a_sigma_of_almost_all_is_a_plain_percentage() -> None:
+    """It said "1e+02 %"."""
+    model, _ = still(np.full(len(T_S), 60.0))
+    scatter_rad = NOISE_RAD / np.sqrt(0.25 * len(T_S))
+    nearer_m = 1.0 / (1.0 / 60.0 + scatter_rad / (0.997 * model.baseline_m))
+    (note,) = scale_note(*([entry] for entry in still(np.where(np.arange(len(T_S)) % 2, 60.0, nearer_m))))
+    assert "to 100 % only" in note
+
+
 def test_the_sigma_of_a_baseline_is_that_of_two_means() -> None:
     """White noise s at shares p and 1 - p of n exposures: sigma = s / sqrt(n p (1 - p)) / (B (1/Z_1 - 1/Z_2))."""
     model, white = still(np.where(T_S < 30.0, 80.0, 20.0))

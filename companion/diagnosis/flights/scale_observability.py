@@ -40,7 +40,7 @@ def scale_note(models: Sequence[FlightModel], expectations: Sequence[Expectation
     if sigma < _PRECISE:
         return []
     all_m = 1.0 / np.maximum(np.concatenate(inverse_m), 1e-9)
-    how_well = f"to {100.0 * sigma:.2g} % only" if sigma < 1.0 else "not at all"
+    how_well = f"to {100.0 * sigma:.0f} % only" if sigma < 1.0 else "not at all"
     return [
         f"ranges at {all_m.min():.3g} to {all_m.max():.3g} m tell the baseline and the focal length {how_well}: at one "
         "distance an error of either looks like one of the toe; record level flight at two known distances, one half "
