@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from companion.diagnosis.free_decay import kalman
 from companion.diagnosis.free_decay.adequacy import Whitened, judged
 from companion.diagnosis.free_decay.json_report import as_json
 from companion.diagnosis.free_decay.kalman import Modes, run
-from companion.diagnosis.free_decay.laws import laws_for
+from companion.diagnosis.free_decay.laws import Law, laws_for
 from companion.diagnosis.free_decay.likelihood import filter_all
 from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
@@ -171,6 +173,18 @@ def test_a_recording_too_short_for_a_low_band_is_refused() -> None:
         prepare([rung_for(2.5)], band_hz)
     (decay,), _ = prepare([rung_for(7.7)], band_hz)
     assert len(decay.t_s) >= 10 * decay.rate_hz / band_hz[1]
+
+
+def test_a_law_says_whether_it_follows_the_amplitude() -> None:
+    """Whatever its parameter is called."""
+    t_s = np.linspace(0.0, 9.0, 50)
+    record = FreeDecay("run", 5.0, t_s, t_s, t_s, t_s, {"stand_m": t_s}, np.exp(-t_s))
+    larger = dataclasses.replace(record, amplitude=2.0 * record.amplitude)
+    laws = [entry for entry in laws_for(["stand_m"]) if isinstance(entry, Law)]
+    for law in laws:
+        follows = not np.array_equal(law.basis(record), law.basis(larger))
+        assert dataclasses.replace(law, parameter="size").by_amplitude == follows
+    assert {law.by_amplitude for law in laws} == {False, True}
 
 
 def test_a_recording_is_followed_beside_a_longer_one_as_it_is_alone() -> None:

@@ -49,6 +49,8 @@ class Law:
         Prior standard deviation of c.
     starts : tuple of float
         Where a search begins.
+    by_amplitude : bool
+        Whether its basis is the amplitude's, which the filter follows.
     """
 
     effect: str
@@ -61,12 +63,8 @@ class Law:
     meaning: str
     sigma: float
     starts: tuple[float, ...]
+    by_amplitude: bool = False
     log_trials: float = 0.0
-
-    @property
-    def by_amplitude(self) -> bool:
-        """Whether it follows the amplitude, which the filter tells."""
-        return self.parameter.endswith("_at_rms")
 
     @property
     def name(self) -> str:
@@ -171,6 +169,7 @@ def _cubic() -> Law:
         "relative change of the natural frequency at an amplitude of the rms deflection",
         0.02,
         (-0.02, -0.006, -0.002, -0.0006, -0.0002, 0.0002, 0.0006, 0.002, 0.006, 0.02),
+        by_amplitude=True,
     )
 
 
@@ -186,6 +185,7 @@ def _quadratic() -> Law:
         "damping ratio that a force with speed squared adds at an amplitude of the rms deflection",
         0.02,
         (0.0, 0.001, 0.004),
+        by_amplitude=True,
     )
 
 
@@ -201,4 +201,5 @@ def _friction() -> Law:
         "damping ratio that dry friction adds at an amplitude of the rms deflection",
         0.02,
         (0.0, 0.001, 0.004),
+        by_amplitude=True,
     )
