@@ -13,6 +13,7 @@ from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.json_report import as_json
 from companion.diagnosis.limit_cycles.labels import doubtful_labels
 from companion.diagnosis.limit_cycles.recordings import FlutterDiagnosis, diagnose_vibration
+from companion.diagnosis.limit_cycles.small_damping import damping_over_airspeed
 from companion.diagnosis.limit_cycles.tracks import RawVibration, VibrationTrack, track
 from companion.errors import RecordingError
 from companion.records import Floats
@@ -103,6 +104,18 @@ def test_growth_and_decay_at_small_amplitude_tell_the_onset() -> None:
     assert diagnosis.onset is not None
     assert abs(diagnosis.onset.airspeed_mps - ONSET_MPS) < 3.0 * diagnosis.onset.sigma_mps + 0.05
     assert diagnosis.onset.sigma_mps < 0.5
+
+
+def test_the_airspeed_of_a_damping_ratio_is_as_good_as_its_sigma() -> None:
+    rng, speeds = np.random.default_rng(31), np.repeat([14.0, 15.0, 16.0, 18.0], 6)
+    a, off = rng.uniform(0.05, 0.3, 24), []
+    for _ in range(400):
+        errors = 1e-4 / a * rng.standard_normal(24)
+        fitted = damping_over_airspeed(speeds, a, 0.004 * (17.0 - speeds) + 0.1 * a**2 + errors)
+        at_mps, sigma_mps = fitted.airspeed_mps(0.004)
+        off.append((at_mps - 16.0) / sigma_mps)
+    assert np.std(off) == pytest.approx(1.0, abs=0.15)
+    assert abs(np.mean(off)) < 0.2
 
 
 def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:

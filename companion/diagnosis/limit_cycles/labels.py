@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.diagnosis.limit_cycles.small_damping import NOISY, SMALL, damping_over_airspeed
 from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.records import Floats
 from companion.units import MAD_TO_SIGMA
@@ -22,10 +23,6 @@ _LEAST = 0.06  # least error relative to the airspeed: less is drift of the rig 
 _LEAST_ABSOLUTE = 0.5 * np.pi  # variance of a median by that of a mean, of normal errors (derived)
 _DEGREE = 2  # of the airspeed over the logarithm of the amplitude (choice)
 _REWEIGHTED = 30  # chosen: steps to the least absolute deviation, which have settled by then
-SMALL = 0.35
-"""Amplitude over the largest, below which a vibration counts as small (choice)."""
-NOISY = (1e-4, 0.3)
-"""Ratios of the largest amplitude, between which the error of a window is proportional to 1/amplitude (choice)."""
 _FEWEST_WINDOWS = 3  # of a recording that is judged by its growth (choice)
 _FEWEST_GROWING = 3  # recordings, which can judge a fourth (choice)
 _RELATED = 2.0  # factor on the variance, because gusts of the tunnel outlast a window (choice)
@@ -48,16 +45,12 @@ class LabelDoubt:
 
 @dataclass(frozen=True, slots=True)
 class _Growth:
-    """Windows of a recording while its vibration is small: amplitude by the largest, damping ratio, weight, (w,)."""
+    """Windows of a recording while its vibration is small: amplitude by the largest, damping ratio, (w,)."""
 
     recording: int
     airspeed_mps: float
     amplitude: Floats
     damping: Floats
-
-    @property
-    def weight(self) -> Floats:
-        return np.clip(self.amplitude, *NOISY)
 
 
 def doubtful_labels(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:
@@ -97,24 +90,16 @@ def _doubtful_growths(tracks: Sequence[VibrationTrack], growths: Sequence[_Growt
 
 
 def _airspeed_by_growth(judged: _Growth, others: Sequence[_Growth]) -> tuple[float, float]:
-    """Airspeed and sigma where the others' ``zeta = a + b (V - mean) + c A^2`` has a recording's damping ratio."""
+    """Airspeed and sigma where the others have a recording's damping ratio."""
     speeds = np.concatenate([np.full(len(entry.amplitude), entry.airspeed_mps) for entry in others])
     if np.ptp(speeds) == 0.0:
         return judged.airspeed_mps, np.inf
-    a, zeta, weight = (
-        np.concatenate([getattr(entry, name) for entry in others]) for name in ("amplitude", "damping", "weight")
-    )
-    design = np.stack([np.ones(len(a)), speeds - speeds.mean(), a**2], 1) * weight[:, None]
-    values = np.linalg.lstsq(design, zeta * weight, rcond=None)[0]
-    residual = zeta * weight - design @ values
-    variance = _RELATED * float(residual @ residual) / max(len(a) - 3, 1)
-    covariance = variance * np.linalg.pinv(design.T @ design)
-    square = judged.weight**2
-    measured = float(square @ (judged.damping - values[2] * judged.amplitude**2)) / float(square.sum())
-    away = (measured - values[0]) / values[1]
-    slope = np.array([-1.0, -away]) / values[1]
-    sigma = np.sqrt(slope @ covariance[:2, :2] @ slope + variance / float(square.sum()) / values[1] ** 2)
-    return float(speeds.mean() + away), float(sigma)
+    a, zeta = (np.concatenate([getattr(entry, name) for entry in others]) for name in ("amplitude", "damping"))
+    fitted = damping_over_airspeed(speeds, a, zeta)
+    square = np.clip(judged.amplitude, *NOISY) ** 2
+    measured = float(np.average(judged.damping - fitted.values[2] * judged.amplitude**2, weights=square))
+    expected, sigma = fitted.airspeed_mps(measured, fitted.variance / float(square.sum()))
+    return expected, float(np.sqrt(_RELATED)) * sigma
 
 
 def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:

@@ -18,7 +18,8 @@ import numpy as np
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
-from companion.diagnosis.limit_cycles.labels import NOISY, SMALL, LabelDoubt, doubtful_labels
+from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
+from companion.diagnosis.limit_cycles.small_damping import NOISY, SMALL, damping_over_airspeed
 from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Progress
@@ -283,22 +284,14 @@ def _root(squares: Floats, mean: float) -> float:
 
 
 def _onset(rows: Sequence[Row]) -> Onset | None:
-    """Zero of the damping ratio at small amplitude over airspeed and squared amplitude, by weighted least squares."""
+    """Zero of the damping ratio at small amplitude."""
     largest = max((row.amplitude[0] for row in rows), default=0.0)
     small = [row for row in rows if not row.cycle and row.airspeed_mps > 0.0 and row.amplitude[0] < SMALL * largest]
     speeds = np.array([row.airspeed_mps for row in small])
     if len(small) < 6 or np.ptp(speeds) == 0.0:
         return None
     a = np.array([row.amplitude[0] for row in small]) / largest
-    design = np.stack([np.ones(len(a)), speeds - speeds.mean(), a**2], 1)
-    weight = np.clip(a, *NOISY)[:, None]
-    zeta = np.array([row.damping for row in small])[:, None] * weight
-    values, rest, *_ = np.linalg.lstsq(design * weight, zeta[:, 0], rcond=None)
-    variance = float(rest[0]) / max(len(a) - 3, 1) if len(rest) else 0.0
-    covariance = variance * np.linalg.inv((design * weight).T @ (design * weight))
-    if values[1] >= 0.0 or abs(values[1]) < 2.0 * np.sqrt(covariance[1, 1]):
-        return Onset(float("nan"), float("nan"), len(small), (float(speeds.min()), float(speeds.max())))
-    at = speeds.mean() - values[0] / values[1]
-    slope = np.array([-1.0 / values[1], values[0] / values[1] ** 2])
-    sigma = float(np.sqrt(slope @ covariance[:2, :2] @ slope))
-    return Onset(float(at), sigma, len(small), (float(speeds.min()), float(speeds.max())))
+    fitted = damping_over_airspeed(speeds, a, np.array([row.damping for row in small]))
+    falls = fitted.values[1] < -2.0 * np.sqrt(fitted.covariance[1, 1])
+    at_mps, sigma_mps = fitted.airspeed_mps(0.0) if falls else (float("nan"), float("nan"))
+    return Onset(at_mps, sigma_mps, len(small), (float(speeds.min()), float(speeds.max())))
