@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 from pathlib import Path
 
@@ -25,7 +26,12 @@ REST_HZ, ZETA, LEVEL = 68.0, 0.025, 0.03
 
 
 def driven(
-    seed: int, cubic: float, noise: float = 1e-4, drag: float = 0.0, swept_hz: tuple[float, float] | None = None
+    seed: int,
+    cubic: float,
+    noise: float = 1e-4,
+    drag: float = 0.0,
+    swept_hz: tuple[float, float] | None = None,
+    friction: float = 0.0,
 ) -> ForcedRecording:
     """Unit stiffness under band-limited noise or a sweep, Runge and Kutta at eight times the rate."""
     rng = np.random.default_rng(seed)
@@ -41,7 +47,8 @@ def driven(
     omega, h = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * FINER)
 
     def acceleration(q: float, v: float, u: float) -> float:
-        return float((u - q - cubic * q**3 - drag * abs(v) * v) * omega**2 - 2.0 * ZETA * omega * v)
+        rubs = friction * math.tanh(v / (1e-4 * omega))  # a sign that an integrator can follow
+        return float((u - q - cubic * q**3 - drag * abs(v) * v - rubs) * omega**2 - 2.0 * ZETA * omega * v)
 
     q = v = 0.0
     shown = np.empty(COUNT)
@@ -74,6 +81,19 @@ def test_a_cubic_spring_is_found_with_its_coefficient(hardening: ForcedRecording
     assert after < 0.02 < 0.2 < before
     assert plain["linear"]["after"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
     assert plain["linear"]["after"]["damping_ratio"] == pytest.approx(ZETA, rel=0.02)
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3])
+def test_dry_friction_behind_noise_is_no_drag_that_drives(ratio: float) -> None:
+    """The sign of a noisy speed is smooth: a negative quadratic damping stood beside friction, and in its place."""
+    clean = driven(5, 0.0, noise=0.0, friction=0.3 * LEVEL)
+    error = ratio * clean.response.std() * np.random.default_rng(6).standard_normal(COUNT)
+    noisy = dataclasses.replace(clean, response=clean.response + error)
+    plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert [cause["name"] for cause in plain["causes"]] == ["coulomb-friction"]
+    if ratio < 0.1:  # beyond, the noise is not small in the law
+        coefficient = plain["causes"][0]["parameters"]["coefficient"]
+        assert coefficient["value"] == pytest.approx(0.3 * LEVEL, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [2, 3])

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.diagnosis.forced.equation_rows import (
     LAWS,
     EquationRows,
@@ -94,6 +96,15 @@ class ForcedDiagnosis:
 _LINEAR = ("mass", "damping", "stiffness")
 
 
+class _Forced(Regressions):
+    """Rows of the equation of motion, and the laws that may explain them."""
+
+    def plausible(self, fitted: RegressionFit) -> bool:
+        """Whether no law of damping feeds energy in: one that does stands for another law."""
+        damps = {QuadraticDamping.name, CoulombFriction.name} & set(fitted.keys)
+        return all(fitted.value(name)[0] > 0.0 for name in damps)
+
+
 def _log_noise(fitted: RegressionFit) -> float:
     return fitted.value(f"noise 0 of {FORCE}")[0]
 
@@ -136,7 +147,7 @@ def diagnose_forced(
         for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
     ]
     notes = (*(note for even in grids for note in even.notes), *_offsets(recordings))
-    outcome = diagnose(Regressions([response], terms), most, progress)
+    outcome = diagnose(_Forced([response], terms), most, progress)
     if delay_s:
         rest_s, sigma_s = outcome.final.value(_DELAY)
         comes = "late" if delay_s > 0.0 else "early"
