@@ -205,13 +205,12 @@ static void mean_before(const double *values, int64_t width, const motion *m, in
  * some epochs: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
  * the root had it in the mean of those epochs: the tip's own axes carry vibration that is coherent with the row's. */
-static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, const double *before, double moment,
-                       double gain, const int64_t *columns)
+static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, const double *before,
+                       double roll_accel, double moment, double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    double root[CHANNELS], earlier[CHANNELS];
+    double root[CHANNELS];
     mean_before(m->smooth, CHANNELS, m, k, root);
-    mean_before(m->d_smooth, CHANNELS, m, k, earlier);
     const double *now = m->rigid[side] + 3 * k, *turn = root + ROLL;
     double y = tip[1], z = tip[2], scaled_y = y + before[1] - now[1], scaled_z = z + before[2] - now[2];
     double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
@@ -228,7 +227,7 @@ static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, 
     set(j, lateral, columns[MZ], -before[0] * gain);
     set(j, roll, columns[MZ], turn[1]);
     set(j, vertical, columns[HEIGHT], squared(turn[0]) + squared(turn[1]));
-    set(j, lateral, columns[HEIGHT], (earlier[ROLL] - turn[1] * turn[2]) * gain);
+    set(j, lateral, columns[HEIGHT], (roll_accel - turn[1] * turn[2]) * gain);
     set(j, vertical, columns[TAU], -rate[2]);
     set(j, lateral, columns[TAU], -(rate[1] - (y - now[1]) * rate[2] * fabs(gain) * sign_of(z)) * gain);
     set(j, roll, columns[TAU], -rate[3]);
@@ -331,21 +330,22 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     const double *rate = m->smooth + k * CHANNELS + ROLL;
     jacobian j = {out->sensitivity + k * ROWS * out->parameters, present, out->parameters};
     find_present(station, m, k, present);
+    double earlier[CHANNELS];
+    mean_before(m->d_smooth, CHANNELS, m, k, earlier);
+    out->earlier_roll[k] = earlier[ROLL];
     for (int side = 0; side < 2; side++) {
         double before[3]; /* the rigid force without this epoch's noise of the root, which is in the rows too */
         mean_before(m->rigid[side], 3, m, k, before);
         gain[side] = lateral_gain(m, k, side, present);
         tip_rows(station, m, k, side, before, out);
-        tip_errors(&j, m, k, side, before, station[1 + side].moment[k], gain[side], columns + (1 + side) * ERRORS);
+        tip_errors(&j, m, k, side, before, earlier[ROLL], station[1 + side].moment[k], gain[side],
+                   columns + (1 + side) * ERRORS);
         root_errors(&j, m, k, side, gain[side], columns);
         if (!present[Y_LEFT + side])
             gain[side] = 0.0;
     }
     roll_errors(&j, m, k, columns);
     rows[P_ROOT] = rate[0];
-    double earlier[CHANNELS];
-    mean_before(m->d_smooth, CHANNELS, m, k, earlier);
-    out->earlier_roll[k] = earlier[ROLL];
     for (int row = 0; row < ROWS; row++)
         if (!present[row])
             rows[row] = 0.0;

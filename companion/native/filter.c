@@ -72,7 +72,8 @@ typedef struct {
 typedef struct {
     const constants_record *constants;
     const double *sensor_variance, *bias_projection, *regressor_signs, *lever_m, *shortening_pm;
-    const int64_t *lateral_bias_state, *roll_misalignment_column, *height_column, *vertical_bias_state, *slope_factor_rows,
+    const int64_t *height_column; /* 0 where a tip's height is certain */
+    const int64_t *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state, *slope_factor_rows,
         *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources;
     int64_t slope_factors, regressors;
 
