@@ -11,7 +11,7 @@ from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.labels import LabelDoubt
-from companion.diagnosis.limit_cycles.recordings import LIMIT_CYCLE, FlutterDiagnosis
+from companion.diagnosis.limit_cycles.recordings import CYCLE, LIMIT_CYCLE, FlutterDiagnosis
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
@@ -78,6 +78,11 @@ def _named(term: RegressionTerm) -> str:
         return f"{term.name} (stiffness follows the amplitude of {term.channel})"
     if term.name == AirspeedDependence.name:
         return f"{term.name} ({term.coefficients[0].response} {_IN_WORDS[term.name]})"
+    moved = {entry.response for entry in term.coefficients}
+    if term.name == LIMIT_CYCLE and CYCLE not in moved:
+        return f"{term.name} (damping follows amplitude and airspeed: the amplitude at which it is 0 moves)"
+    if moved == {CYCLE}:
+        return f"{term.name} (its frequency follows the airspeed at equal amplitude)"
     return f"{term.name} ({_IN_WORDS[term.name]})"
 
 

@@ -10,8 +10,8 @@ one frequency. Where zeta crosses 0 with A rising the amplitude stays: the limit
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDe
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
 from companion.diagnosis.limit_cycles.small_damping import NOISY, SMALL, damping_over_airspeed
-from companion.diagnosis.limit_cycles.tracks import VibrationTrack
+from companion.diagnosis.limit_cycles.tracks import STEADY, VibrationTrack
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Progress
 from companion.diagnosis.selection.regression import (
@@ -119,10 +120,36 @@ def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Pr
     speeds = np.array([row.airspeed_mps for row in rows])
     mean, rms = float(speeds.mean()), float(speeds.std()) or 1.0
     regressions = _regressions(rows, names, (speeds - mean) / rms)
-    outcome = diagnose(regressions, most, progress)
+    outcome = _never_linear(diagnose(regressions, most, progress), rows, names[0])
     held_out = _held_out(regressions, outcome.final, rows, names) if len(set(speeds)) > 1 else ()
     onset = _onset(rows)
     return FlutterDiagnosis(outcome, tuple(tracks), tuple(rows), names, held_out, onset, doubts)
+
+
+def _never_linear(
+    outcome: Diagnosis[RegressionTerm, RegressionModel], rows: Sequence[Row], name: str
+) -> Diagnosis[RegressionTerm, RegressionModel]:
+    """The outcome, unexplained where cycles of different amplitudes stand in the wind and no term says why."""
+    cycles = [row for row in rows if row.cycle and row.airspeed_mps > 0.0]
+    levels, speeds = [row.amplitude[0] for row in cycles], [row.airspeed_mps for row in cycles]
+    says_why = {LIMIT_CYCLE, QuadraticDamping.name} & {term.name for term in outcome.final.terms}
+    settled = outcome.verdict in (DiagnosisVerdict.ADEQUATE, DiagnosisVerdict.EXPLAINED)
+    if says_why or not settled or not cycles or np.ptp(levels) < STEADY * max(levels):
+        return outcome
+    moves = " and the airspeed" if np.ptp(speeds) else ""
+    few = f"; record cycles at {_FEWEST_CYCLES} airspeeds or more" if len(cycles) < _FEWEST_CYCLES else ""
+    reason = (
+        f"{len(cycles)} limit cycles of {min(levels):.3g} to {max(levels):.3g} ({name}) stand at {min(speeds):g} to "
+        f"{max(speeds):g} m/s, a linear wing has none: damping follows the amplitude{moves}{few}"
+    )
+    return replace(
+        outcome,
+        verdict=DiagnosisVerdict.UNEXPLAINED,
+        causes=(),
+        nearest=LIMIT_CYCLE,
+        nearest_causes=outcome.causes,
+        reason=reason,
+    )
 
 
 def _rows(number: int, entry: VibrationTrack) -> list[Row]:
@@ -189,7 +216,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
         for at, values in followed.items():
             mean = float(values.mean())
             responses.append(RegressionResponse(at, values, values, alike, at_mps, at_mps, mean, mean, _CYCLE_NOISE))
-        terms.append(_cycle({at: float(values.mean()) for at, values in followed.items()}, at_mps))
+        terms += _cycle(responses[-len(followed) :])
     return Regressions(responses, terms)
 
 
@@ -197,7 +224,8 @@ def _inside_cycle(a: Floats, v: Floats, cycle: Bools) -> Floats:
     """Distance inside the limit cycle, 1 - (A / A_c(v))^2, (n,): 1 at rest, 0 on the cycle; 1 where none is."""
     if cycle.sum() < _FEWEST_CYCLES or np.ptp(v[cycle]) == 0.0:
         return np.ones(len(a))
-    log_cycle = np.polyval(np.polyfit(v[cycle], np.log(a[cycle]), 2), v)
+    near = np.clip(v, v[cycle].min(), v[cycle].max())  # a polynomial says nothing beyond
+    log_cycle = np.polyval(np.polyfit(v[cycle], np.log(a[cycle]), 2), near)
     return np.asarray(1.0 - a**2 * np.exp(-2.0 * log_cycle))
 
 
@@ -205,24 +233,29 @@ def _airspeed(column: Coefficient) -> RegressionTerm:
     return RegressionTerm(AirspeedDependence.name, "airspeed_mps", (column,))
 
 
-def _cycle(followed: Mapping[str, float], speeds: Floats) -> RegressionTerm:
-    """Squared frequency and amplitudes of the limit cycle over the airspeed; ``followed`` has the mean of each."""
-    x = (speeds - speeds.mean()) / speeds.std()
+def _cycle(followed: Sequence[RegressionResponse]) -> list[RegressionTerm]:
+    """Squared amplitudes and frequency of the limit cycle over the airspeed, without those that are constant."""
+    columns = [column for entry in followed for column in _moved(entry)]
+    return [RegressionTerm(LIMIT_CYCLE, "airspeed_mps", tuple(columns))] if columns else []
+
+
+def _moved(followed: RegressionResponse) -> tuple[Coefficient, ...]:
+    """Columns of a square over the airspeed, none where it is constant: unused ones cost as much as others gain."""
+    x = (followed.order - followed.order.mean()) / followed.order.std()
     shapes = (
         ("slope", x, 1.0, "per rms of the airspeed"),
         ("bend", x**2 - 1.0, 0.4, "the same, per its square"),
         ("twist", x**3 - 3.0 * x, 0.2, "the same, per its cube"),
     )
-    degree = min(max(len(set(speeds.tolist())) - _SPARE, 1), _DEGREE)
-    return RegressionTerm(
-        LIMIT_CYCLE,
-        "airspeed_mps",
-        tuple(
-            Coefficient(f"{at}: {name}", at, column, sigma * mean, "", f"{at} over the largest's, {meaning}")
-            for at, mean in followed.items()
-            for name, column, sigma, meaning in shapes[:degree]
-        ),
+    at, degree = followed.name, min(max(len(set(followed.order.tolist())) - _SPARE, 1), _DEGREE)
+    columns = tuple(
+        Coefficient(f"{at}: {name}", at, column, sigma * followed.level, "", f"{at} over the largest's, {meaning}")
+        for name, column, sigma, meaning in shapes[:degree]
     )
+    alone = Regressions([followed], [])
+    constant = alone.null()
+    moved = alone.fit([RegressionTerm(LIMIT_CYCLE, "", columns)], constant)
+    return columns if moved.log_evidence > constant.log_evidence else ()
 
 
 def _stiffness(name: str, a: Floats, level: float) -> RegressionTerm:

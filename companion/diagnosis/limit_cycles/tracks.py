@@ -18,13 +18,14 @@ from companion.records import Floats
 
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
-_STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle (choice)
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
 _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked for (choice)
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
+STEADY = 0.06
+"""Relative range of the amplitude in what counts as a limit cycle (choice)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +158,7 @@ def _steady(amplitude: Floats, least: int) -> np.ndarray[tuple[int, ...], np.dty
     steady = np.zeros(len(amplitude), dtype=np.bool_)
     for first in range(len(amplitude) - least + 1):
         run = amplitude[first : first + least]
-        if float(np.ptp(run)) < _STEADY * float(run.mean()):
+        if float(np.ptp(run)) < STEADY * float(run.mean()):
             steady[first : first + least] = True
     return steady
 
