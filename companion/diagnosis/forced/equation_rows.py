@@ -118,20 +118,53 @@ def refuse_integrated_noise(rows: EquationRows, band_hz: tuple[float, float]) ->
         )
 
 
-def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
-    """Force, acceleration, speed, deflection and laws over time, (n,) each.
+def beyond_half_rate(
+    recordings: Sequence[ForcedRecording],
+    grids: Sequence[EvenRecording],
+    band_hz: tuple[float, float],
+    linear: Floats,
+    laws: Floats,
+) -> float:
+    """Rms of the deflection that laws put beyond half the rate over that of all, the largest of all recordings.
+
+    ``linear`` (3,) are mass, damping and stiffness, ``laws`` (laws,) the coefficients of all laws: a law's force f
+    moves the structure by f/(k + j omega c - omega^2 m).
+    """
+    m, c, k = linear.tolist()
+    ratios = []
+    for entry, even in zip(recordings, grids, strict=True):
+        spectrum, jw = _motion(even, band_hz, entry.kind)
+        omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * len(even.force), 1.0 / (_FINER * even.rate_hz))
+        moved = laws @ _law_spectra(spectrum, jw, len(even.force)) / (k + 1j * omega * c - omega**2 * m)
+        ratios.append(float(np.linalg.norm(moved[omega > np.pi * even.rate_hz]) / np.linalg.norm(spectrum)))
+    return max(ratios)
+
+
+def _motion(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+    """Spectrum of the deflection, and j omega, (f,).
 
     A speed or acceleration is integrated above half of the band's lower edge.
     """
-    count = len(even.force)
-    f_hz = np.fft.rfftfreq(count, 1.0 / even.rate_hz)
-    jw = 2j * np.pi * f_hz
+    f_hz = np.fft.rfftfreq(len(even.force), 1.0 / even.rate_hz)
+    jw: Spectra = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
     least_hz = 0.5 * band_hz[0] if kind else 0.0
     measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
-    spectrum = np.where(measured, np.fft.rfft(even.response), 0.0) / np.where(measured & (kind > 0), jw, 1.0) ** kind
-    deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
+    recorded: Spectra = np.where(measured, np.fft.rfft(even.response), 0.0)
+    return np.asarray(recorded / np.where(measured & (kind > 0), jw, 1.0) ** kind, dtype=np.complex128), jw
+
+
+def _law_spectra(spectrum: Spectra, jw: Spectra, count: int) -> Spectra:
+    """Spectra of the laws at several times the rate, (laws, f)."""
     fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, _FINER * count) * _FINER for power in (0, 1))
-    laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
+    return np.stack([np.fft.rfft(law(fine_q, fine_v)) / _FINER for _, law in LAWS.values()])
+
+
+def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
+    """Force, acceleration, speed, deflection and laws over time, (n,) each."""
+    count = len(even.force)
+    spectrum, jw = _motion(even, band_hz, kind)
+    deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
+    laws = _law_spectra(spectrum, jw, count)[:, : len(jw)]
     return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
 
 

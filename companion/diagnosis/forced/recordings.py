@@ -13,7 +13,7 @@ counts from the recording's own zero: a cube about another zero has a square.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -24,6 +24,7 @@ from companion.diagnosis.forced.equation_rows import (
     LAWS,
     EquationRows,
     ForcedRecording,
+    beyond_half_rate,
     equation_rows,
     refuse_integrated_noise,
 )
@@ -53,6 +54,7 @@ _DELAY = "delay of the force"
 _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows of the longest delay (choice)
 _MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
 _FAR_FROM_ZERO = 5.0  # chosen, standard deviations of the response: a cube was explained at 5, not so at 10
+_MOST_ALIASED = 0.005  # chosen, of the deflection's rms: a cubic was 5 sigma off at 0.010, 1 sigma at 0.002
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 
@@ -171,6 +173,17 @@ def diagnose_forced(
             "mass and stiffness come out negative: force and response have opposite signs (change the sign of one in "
             "the mapping), or the response is an acceleration (name its channel response_<what>_mps2)"
         )
+    accepted = [*outcome.causes, *outcome.nearest_causes]
+    laws = np.zeros(len(LAWS))
+    for cause in accepted:
+        laws[list(LAWS).index(cause.term.name)] = diagnosis.coefficient(cause)[0]
+    ratio = beyond_half_rate(recordings, grids, band_hz, diagnosis.linear(True), laws) if accepted else 0.0
+    if ratio > _MOST_ALIASED:
+        text = (
+            f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, {0.5 / step_s:.4g} "
+            "Hz, and folds back: coefficients may be off by many sigmas; record at twice the rate or more"
+        )
+        return replace(diagnosis, notes=(*notes, text))
     return diagnosis
 
 
