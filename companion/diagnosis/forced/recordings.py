@@ -173,18 +173,26 @@ def diagnose_forced(
             "mass and stiffness come out negative: force and response have opposite signs (change the sign of one in "
             "the mapping), or the response is an acceleration (name its channel response_<what>_mps2)"
         )
-    accepted = [*outcome.causes, *outcome.nearest_causes]
-    laws = np.zeros(len(LAWS))
-    for cause in accepted:
-        laws[list(LAWS).index(cause.term.name)] = diagnosis.coefficient(cause)[0]
-    ratio = beyond_half_rate(recordings, grids, band_hz, diagnosis.linear(True), laws) if accepted else 0.0
-    if ratio > _MOST_ALIASED:
-        text = (
-            f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, {0.5 / step_s:.4g} "
-            "Hz, and folds back: coefficients may be off by many sigmas; record at twice the rate or more"
-        )
-        return replace(diagnosis, notes=(*notes, text))
-    return diagnosis
+    return replace(diagnosis, notes=(*notes, *_aliased(diagnosis, grids, band_hz)))
+
+
+def _aliased(diagnosis: ForcedDiagnosis, grids: Sequence[EvenRecording], band_hz: tuple[float, float]) -> list[str]:
+    """Harmonics of the accepted laws beyond half the rate, which fold back into the response."""
+    accepted = {
+        cause.term.name: diagnosis.coefficient(cause)[0]
+        for cause in (*diagnosis.outcome.causes, *diagnosis.outcome.nearest_causes)
+    }
+    if not accepted:
+        return []
+    laws = np.array([accepted.get(name, 0.0) for name in LAWS])
+    ratio = beyond_half_rate(diagnosis.recordings, grids, band_hz, diagnosis.linear(True), laws)
+    if ratio <= _MOST_ALIASED:
+        return []
+    return [
+        f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, "
+        f"{0.5 * _common_rate_hz(diagnosis.recordings, grids):.4g} Hz, and folds back: coefficients may be off by many sigmas; record at twice the "
+        "rate or more"
+    ]
 
 
 def _offsets(recordings: Sequence[ForcedRecording]) -> list[str]:
