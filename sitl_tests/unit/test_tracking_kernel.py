@@ -261,14 +261,14 @@ def test_an_estimated_height_is_in_the_prediction_with_the_roll_of_the_state() -
     epochs = epochs._replace(rows=0.01 * epochs.rows, sensitivity=np.zeros_like(epochs.sensitivity))
     state = np.zeros(kalman.layout.size + 1)
     roll_accel_radps2 = state[kalman.layout.roll_accel] = 2.0
-    present, height_m = epochs.lateral_gain[5], 0.01
+    gain, height_m = epochs.lateral_gain[5], 0.01
 
     def innovations(height_m: float, roll_before_radps2: float) -> Floats:
         """Innovations of both slope rows with all heights zero, by a filter that takes them for ``height_m``."""
         believed = _believed(kalman)
         believed[const.height_column] = height_m
         for side in (0, 1):
-            sensitivity = epochs.lateral_gain[5, side] * roll_before_radps2
+            sensitivity = gain[side] * roll_before_radps2
             epochs.sensitivity[5, Y_LEFT + side, const.height_column[side] - 1] = sensitivity
         residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
         residual[:, 0] = epochs.rows[5]
@@ -280,7 +280,7 @@ def test_an_estimated_height_is_in_the_prediction_with_the_roll_of_the_state() -
     at_once = innovations(height_m, roll_accel_radps2 + turning)
     late = innovations(height_m, turning)
     assert at_once == pytest.approx(without, abs=1e-5)
-    assert without - late == pytest.approx(present * roll_accel_radps2 * height_m, rel=0.02)
+    assert without - late == pytest.approx(gain * roll_accel_radps2 * height_m, rel=0.02)
 
 
 def test_rows_are_linear_about_the_estimated_way_inboard() -> None:

@@ -9,7 +9,7 @@ from companion.core.tracking.error_jacobians import measured_regressors
 from companion.core.tracking.model import DiscreteWingModel, lift_rows
 from companion.core.tracking.states import P_LEFT, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
 from companion.core.wing.shortening import shortening_pm
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 
 def kernel_model(
@@ -114,7 +114,7 @@ def kernel_constants(
         bend_column=layout.column("bend_per_g") or 0,
         sensor_variance=noise.sensor_variance,
         lateral_bias_state=np.array([bias_states.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
-        roll_misalignment_column=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
+        roll_misalignment_column=_tip_columns(layout, "mx"),
         vertical_bias_state=np.array([bias_states.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
         bias_projection=noise.bias_projection,
         common_bias_column=layout.column("bz") or 0,
@@ -133,5 +133,10 @@ def kernel_constants(
         ),
         shortening_column=layout.column("shortening") or 0,
         further_shortening_column=layout.column("further_shortening") or 0,
-        height_column=np.array([layout.column(f"{place}.height") or 0 for place in ("left", "right")], np.int64),
+        height_column=_tip_columns(layout, "height"),
     )
+
+
+def _tip_columns(layout: StateLayout, error: str) -> Ints:
+    """Columns of an error of the left and right tip's sensor, 0 where it is certain, (2,)."""
+    return np.array([layout.column(f"{place}.{error}") or 0 for place in ("left", "right")], np.int64)
