@@ -188,10 +188,10 @@ def _aliased(diagnosis: ForcedDiagnosis, grids: Sequence[EvenRecording], band_hz
     ratio = beyond_half_rate(diagnosis.recordings, grids, band_hz, diagnosis.linear(True), laws)
     if ratio <= _MOST_ALIASED:
         return []
+    half_hz = 0.5 * _common_rate_hz(diagnosis.recordings, grids)
     return [
-        f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, "
-        f"{0.5 * _common_rate_hz(diagnosis.recordings, grids):.4g} Hz, and folds back: coefficients may be off by many sigmas; record at twice the "
-        "rate or more"
+        f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, {half_hz:.4g} Hz, and "
+        "folds back: coefficients may be off by many sigmas; record at twice the rate or more"
     ]
 
 
