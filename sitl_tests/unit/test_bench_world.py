@@ -15,7 +15,7 @@ from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, MatchSet, Station
 from companion.sim.flight.offline import HOST_EPOCH_NS
 from companion.units import GRAVITY_MPS2
-from tools.bench.world import Pooled, missed, pooled, show, summary
+from tools.bench.world import FLIGHTS, Pooled, missed, pooled, show, summary
 from tools.bench.world_constants import constants_table
 from tools.bench.world_flight import fly
 from tools.bench.world_peers import pair_alone, tilt_filter, tips_on_grid
@@ -46,6 +46,14 @@ def test_wilsons_interval() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
     # Wilson (1927) as tabulated by Newcombe (1998): 81 of 263 is 0.2553 to 0.3662
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+
+
+def test_rows_of_other_conditions_fly_other_wings_and_a_reference_those_of_its_world() -> None:
+    first = {row: row.first_number for row in rows()}
+    for row, number in first.items():
+        for other, beside in first.items():
+            alike = (row.world, row.accident) == (other.world, other.accident)
+            assert number == beside if alike else abs(number - beside) >= FLIGHTS, (row, other)
 
 
 def test_the_nees_has_the_standard_error_of_its_flights_and_not_of_its_shots() -> None:

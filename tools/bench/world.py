@@ -215,7 +215,7 @@ def _fast_mrad(group: Pooled, name: str, seeds: Container[int] | None = None) ->
 
 def campaign(wanted: list[CampaignRow], numbers: range, folder: Path, workers: int = 1, scheduler: str = "") -> None:
     """Fly what has no part file yet, number by number, so that a campaign cut short covers every row."""
-    tasks = [CampaignTask(row, number, folder.resolve()) for number in numbers for row in wanted]
+    tasks = [CampaignTask(row, row.first_number + number, folder.resolve()) for number in numbers for row in wanted]
     tasks = [task for task in tasks if stored(task) is None]
     work_off(
         tasks,

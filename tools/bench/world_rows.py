@@ -17,6 +17,7 @@ DURATION_S = 32.0
 STRUCK_S = 18.0
 AIRFRAMES = ("nadir-2m", "forward-2m")
 SENSORS = ("6-axis", "vertical")
+_MOST_FLIGHTS = 100  # of a row, so that no two rows of other conditions share a wing (choice)
 _FROM_THE_GROUND = ("ideal", "fair", "rough")  # worlds of the flights that begin and end on it
 
 
@@ -80,8 +81,17 @@ class CampaignRow:
         words = f"{self.name} {self.airframe} {self.sensors}".replace("/", "").replace(",", "")
         return "".join(letter if letter.isalnum() or letter in "-" else "_" for letter in words)
 
+    @property
+    def first_number(self) -> int:
+        """Number of the row's first flight: worlds and accidents have wings of their own, sensors share them.
+
+        So a share of constants that are inside three sigma stands on as many wings as there are such rows. A reference
+        has the wings of its world.
+        """
+        return _MOST_FLIGHTS * _conditions().index((self.world, self.accident))
+
     def seed(self, number: int) -> int:
-        """Seed of one flight: the same for all rows of an airframe, so that worlds differ by the world alone."""
+        """Seed of one flight, by airframe and number."""
         return 1000 * (zlib.crc32(self.airframe.encode()) % 1000) + number
 
     def belief(self) -> Airframe:
@@ -99,6 +109,12 @@ class CampaignRow:
         plan = demo_plan(DURATION_S)
         blow = self.accident.blow_mps2
         return dataclasses.replace(plan, jolts=(Jolt(STRUCK_S, blow),)) if blow else plan
+
+
+def _conditions() -> list[tuple[str, Accident]]:
+    """Worlds, accidents in the ideal one, and worlds in which flights begin on the ground."""
+    aloft = [(world, Accident()) for world in WORLDS]
+    return aloft + [("ideal", accident) for accident in ACCIDENTS] + [(world, ON_GROUND) for world in _FROM_THE_GROUND]
 
 
 def rows(world: str = "", airframe: str = "", sensors: str = "") -> list[CampaignRow]:
