@@ -11,16 +11,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from companion.core.pipeline import start, step
-from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
-from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import divergence
 from companion.evaluation.flight_evaluation import matches_of, pulls
 from companion.evaluation.metrics import SETTLED_S, rms
 from companion.evaluation.rendered_shots import Stage, Studio
@@ -32,6 +28,8 @@ from companion.params.settings import Settings
 from companion.records import CorrectedRange, Floats, MatchSet, Record
 from companion.sim.flight.flight import build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS
+from companion.sim.flight.world_draw import as_calibrated
+from companion.sim.flight.worlds import IDEAL, WORLDS, Conditions
 from tools.bench.slow import in_order
 
 _FIRST_S, _LAST_S = 0.5, 0.6  # from the start, before the end
@@ -59,14 +57,9 @@ class Flown:
         return rms(self.range_error_rad / self.range_sigma_rad)
 
 
-def run(airframe: Airframe, seeds: Iterable[int], duration_s: float = 27.0, rate_hz: float = 4.0) -> list[Flown]:
-    """Fly every seed."""
-    return [fly_one_seed(airframe, seed, duration_s, rate_hz) for seed in seeds]
-
-
-def fly_one_seed(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flown:
+def fly_one_seed(airframe: Airframe, seed: int, duration_s: float, rate_hz: float, world: Conditions = IDEAL) -> Flown:
     """One flight."""
-    flight = build_flight(airframe, seed, duration_s)
+    flight = build_flight(airframe, seed, duration_s, world=world)
     stage = Stage.of(flight, Settings(), HOST_EPOCH_NS)
     judge, studio = TrueGeometry(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), Studio(stage)
     edges_s = np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz)
@@ -83,18 +76,11 @@ def fly_one_seed(airframe: Airframe, seed: int, duration_s: float, rate_hz: floa
     corrected = scored.ways["corrected"]
     return Flown(
         seed,
-        np.array([entry.toe_rad - _true_toe(judge, flown.matches[entry.pair_id]) for entry in ranges]),
+        np.array([entry.toe_rad - judge.true_toe_rad(flown.matches[entry.pair_id]) for entry in ranges]),
         np.array([entry.toe_sigma_rad for entry in ranges]),
         corrected.toe_error_rad[trusted],
         np.array([corrected.baseline_m * _inverse_sigma(entry) for entry in ranges])[trusted],
     )
-
-
-def _true_toe(judge: TrueGeometry, matches: MatchSet) -> float:
-    """True divergence beyond the believed ground calibration, each camera at its own exposure."""
-    bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
-    moving = exposures(judge.pair.rig, TipMotion.from_airframe(judge.flight.real.actual), bends[0], bends[1])
-    return divergence(moving) - divergence(rest_exposures(Rig.from_airframe(judge.flight.airframe)))
 
 
 def _inverse_sigma(entry: CorrectedRange) -> float:
@@ -105,14 +91,17 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the table; 1 when a sigma lies outside 99 % of chi-square by one draw a flight."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--airframe", default="forward-2m")
-    parser.add_argument("--seeds", type=int, default=4, help="flights, from seed 1")
+    parser.add_argument("--world", default=IDEAL.name, choices=[*WORLDS])
+    parser.add_argument("--first", type=int, default=1, help="seed of the first flight")
+    parser.add_argument("--seeds", type=int, default=4, help="flights")
     parser.add_argument("--duration", type=float, default=27.0, help="of each, s")
     options, _ = parser.parse_known_args(arguments)
-    airframe, rows = load_airframe(options.airframe), []
-    print(f"toe and range of {airframe.name} from {SETTLED_S:g} s on, mrad; trusted ranges as toe")
+    world, rows = WORLDS[options.world], []
+    airframe = as_calibrated(load_airframe(options.airframe), world)
+    print(f"toe and range of {airframe.name} in {world.name} from {SETTLED_S:g} s on, mrad; trusted ranges as toe")
     print("seed  pairs  toe mean   rms  stated  error/sigma  ranges   rms  stated  error/sigma")
-    for seed in range(1, options.seeds + 1):
-        row = fly_one_seed(airframe, seed, options.duration, 4.0)
+    for seed in range(options.first, options.first + options.seeds):
+        row = fly_one_seed(airframe, seed, options.duration, 4.0, world)
         rows.append(row)
         print(
             f"{seed:4d} {len(row.toe_error_rad):6d} {1e3 * np.mean(row.toe_error_rad):+9.3f}"
