@@ -138,7 +138,9 @@ def _limit_cycle(
             airspeed = _airspeed(table, notes)
             _rate_hz(table, _band(mapping))
             _varying(table, names)
-            followed = track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping))
+            forces = {name: values for name, values in table.channels.items() if name.startswith(_INPUT)}
+            raw = RawVibration(table.path.name, table.t_s, responses, airspeed, forces)
+            followed = track(raw, _band(mapping))
             tracks.append(followed)
             if not len(followed.t_s):
                 leading = names[0].removeprefix(_RESPONSE)

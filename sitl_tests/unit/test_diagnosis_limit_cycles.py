@@ -346,7 +346,10 @@ def test_constant_cycles_without_noise_are_judged(
         table = np.stack([t_s, amplitude * np.sin(15.0 * t_s)], 1)
         np.savetxt(tmp_path / f"run{k}.csv", table, "%.15g", ",", header="t,heave", comments="")
     assert main(["diagnose", str(tmp_path), "--mapping", str(tmp_path / "rig.toml")]) == 0
-    assert "verdict: adequate" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "verdict: unexplained (nearest: limit-cycle)" in out
+    assert f"amplitudes stay constant in {len(amplitudes)} recordings, at 2.387 Hz" in out
+    assert "record: the growth from rest up to it" in out
 
 
 def test_a_recording_at_rest_and_a_dead_leader_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,9 @@ from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.labels import LabelDoubt
-from companion.diagnosis.limit_cycles.recordings import CYCLE, LIMIT_CYCLE, FlutterDiagnosis
+from companion.diagnosis.limit_cycles.recordings import CYCLE, FlutterDiagnosis
+from companion.diagnosis.limit_cycles.rows import LIMIT_CYCLE
+from companion.diagnosis.limit_cycles.self_excited import what_to_record
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
@@ -61,6 +63,7 @@ def as_json(diagnosis: FlutterDiagnosis) -> dict[str, Any]:
         "labels": [_doubt(entry) for entry in diagnosis.doubts],
         "decays": [_decay(diagnosis, i) for i, entry in enumerate(diagnosis.tracks) if not entry.steady.any()],
         "airframe_parameters": [],
+        "advice": what_to_record(outcome, diagnosis.rows, diagnosis.tracks),
         "notes": [*(label["says"] for label in map(_doubt, diagnosis.doubts)), *_outlying(diagnosis)],
     }
 

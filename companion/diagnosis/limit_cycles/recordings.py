@@ -11,7 +11,7 @@ one frequency. Where zeta crosses 0 with A rising the amplitude stays: the limit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,9 +19,10 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
+from companion.diagnosis.limit_cycles.rows import LIMIT_CYCLE, Row, rows_of
+from companion.diagnosis.limit_cycles.self_excited import FEWEST_CYCLES, judged_cycles
 from companion.diagnosis.limit_cycles.small_damping import NOISY, SMALL, damping_over_airspeed
-from companion.diagnosis.limit_cycles.tracks import STEADY, VibrationTrack
-from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Progress
 from companion.diagnosis.selection.regression import (
@@ -35,11 +36,8 @@ from companion.diagnosis.selection.regression import (
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
-LIMIT_CYCLE = "limit-cycle"
-"""Name of a self-excited cycle; it is no effect of the catalogue, which has stable wings only."""
 FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
 CYCLE, AMPLITUDE = "square of the cycle's frequency", "square of the cycle's amplitude"
-_FEWEST_CYCLES = 4  # limit cycles, to fit how they change with airspeed (choice)
 _FEWEST_WINDOWS = 6  # on the way to or from a cycle, to fit its damping (choice)
 _FEWEST_RECORDINGS = 3  # at one airspeed, to hold one out: of two, one does not predict the other (choice)
 _DEGREE = 3  # chosen: of the cycle's squares over the airspeed: two degrees miss the rig's largest amplitudes by 11 %
@@ -47,20 +45,6 @@ _SPARE = 3  # chosen: airspeeds more than the degree, so that as many are left w
 _CYCLE_NOISE = 0.1  # of a squared amplitude or frequency relative to itself, where its noise is sought (choice)
 _LEAST_SQUARE = 1e-4  # chosen: of a predicted square over its mean, below which no cycle is
 _PER = " per rms of the airspeed"
-_TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One observation: a limit cycle's mean, or a window on the way to or from it."""
-
-    recording: int
-    airspeed_mps: float
-    amplitude: tuple[float, ...]
-    frequency_hz: float
-    damping: float
-    cycle: bool
-    t_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +95,7 @@ def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Pr
     aside = {entry.recording for entry in doubts}
     if any(entry.airspeed_mps is not None for entry in tracks):  # in still air it is another structure
         aside |= {i for i, entry in enumerate(tracks) if entry.airspeed_mps is None}
-    rows = [row for i, entry in enumerate(tracks) if i not in aside for row in _rows(i, entry)]
+    rows = [row for i, entry in enumerate(tracks) if i not in aside for row in rows_of(i, entry)]
     if not rows:
         raise RecordingError(
             f"no recording rises above its noise in {names[0]}, the leading response: excite the structure, record it "
@@ -120,60 +104,10 @@ def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Pr
     speeds = np.array([row.airspeed_mps for row in rows])
     mean, rms = float(speeds.mean()), float(speeds.std()) or 1.0
     regressions = _regressions(rows, names, (speeds - mean) / rms)
-    outcome = _never_linear(diagnose(regressions, most, progress), rows, names[0])
+    outcome = judged_cycles(diagnose(regressions, most, progress), rows, tracks, names[0])
     held_out = _held_out(regressions, outcome.final, rows, names) if len(set(speeds)) > 1 else ()
     onset = _onset(rows)
     return FlutterDiagnosis(outcome, tuple(tracks), tuple(rows), names, held_out, onset, doubts)
-
-
-def _never_linear(
-    outcome: Diagnosis[RegressionTerm, RegressionModel], rows: Sequence[Row], name: str
-) -> Diagnosis[RegressionTerm, RegressionModel]:
-    """The outcome, unexplained where cycles of different amplitudes stand in the wind and no term says why."""
-    cycles = [row for row in rows if row.cycle and row.airspeed_mps > 0.0]
-    levels, speeds = [row.amplitude[0] for row in cycles], [row.airspeed_mps for row in cycles]
-    says_why = {LIMIT_CYCLE, QuadraticDamping.name} & {term.name for term in outcome.final.terms}
-    settled = outcome.verdict in (DiagnosisVerdict.ADEQUATE, DiagnosisVerdict.EXPLAINED)
-    if says_why or not settled or not cycles or np.ptp(levels) < STEADY * max(levels):
-        return outcome
-    moves = " and the airspeed" if np.ptp(speeds) else ""
-    few = f"; record cycles at {_FEWEST_CYCLES} airspeeds or more" if len(cycles) < _FEWEST_CYCLES else ""
-    reason = (
-        f"{len(cycles)} limit cycles of {min(levels):.3g} to {max(levels):.3g} ({name}) stand at {min(speeds):g} to "
-        f"{max(speeds):g} m/s, a linear wing has none: damping follows the amplitude{moves}{few}"
-    )
-    return replace(
-        outcome,
-        verdict=DiagnosisVerdict.UNEXPLAINED,
-        causes=(),
-        nearest=LIMIT_CYCLE,
-        nearest_causes=outcome.causes,
-        reason=reason,
-    )
-
-
-def _rows(number: int, entry: VibrationTrack) -> list[Row]:
-    """A limit cycle counts once, however long it lasted; windows on the way one by one."""
-    speed = entry.airspeed_mps or 0.0
-    levels = np.stack(list(entry.amplitude.values()), 1)
-    damping = -entry.growth_radps / (_TWO_PI * entry.frequency_hz)
-    rows = [
-        Row(
-            number,
-            speed,
-            tuple(levels[k].tolist()),
-            float(entry.frequency_hz[k]),
-            float(damping[k]),
-            False,
-            float(entry.t_s[k]),
-        )
-        for k in np.flatnonzero(~entry.steady)
-    ]
-    if entry.steady.any():
-        mean = np.median(levels[entry.steady], axis=0)
-        f_hz, zeta = (float(np.median(values[entry.steady])) for values in (entry.frequency_hz, damping))
-        rows.append(Row(number, speed, tuple(mean.tolist()), f_hz, zeta, True))
-    return rows
 
 
 def _blocks(rows: Sequence[Row], speeds: Floats) -> Floats:
@@ -190,7 +124,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
     f_hz, zeta = np.array([row.frequency_hz for row in rows]), np.array([row.damping for row in rows])
     cycle, speeds = np.array([row.cycle for row in rows]), np.array([row.airspeed_mps for row in rows])
     scale: Floats = np.where(cycle, 1.0, 1.0 / np.clip(relative[:, 0], *NOISY))
-    group = np.asarray(cycle & (cycle.sum() >= _FEWEST_CYCLES)).astype(np.int64)
+    group = np.asarray(cycle & (cycle.sum() >= FEWEST_CYCLES)).astype(np.int64)
     square = f_hz**2
     level, block = float(np.median(square)), _blocks(rows, speeds)
     responses = [RegressionResponse(FREQUENCY, square, scale, group, block, relative[:, 0], level, level, 0.05 * level)]
@@ -209,7 +143,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
         if np.ptp(speeds[transient]) > 0.0:
             column = v[transient] * inside
             terms.append(_airspeed(Coefficient("damping: airspeed", DAMPING, column, 0.02, "", f"{DAMPING}{_PER}")))
-    if cycle.sum() >= _FEWEST_CYCLES and np.ptp(speeds[cycle]) > 0.0:
+    if cycle.sum() >= FEWEST_CYCLES and np.ptp(speeds[cycle]) > 0.0:
         followed = {CYCLE: (square / level)[cycle]}
         followed |= {f"{AMPLITUDE}: {name}": relative[cycle, i] ** 2 for i, name in enumerate(names)}
         alike, at_mps = np.zeros_like(group[cycle]), speeds[cycle]
@@ -222,7 +156,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
 
 def _inside_cycle(a: Floats, v: Floats, cycle: Bools) -> Floats:
     """Distance inside the limit cycle, 1 - (A / A_c(v))^2, (n,): 1 at rest, 0 on the cycle; 1 where none is."""
-    if cycle.sum() < _FEWEST_CYCLES or np.ptp(v[cycle]) == 0.0:
+    if cycle.sum() < FEWEST_CYCLES or np.ptp(v[cycle]) == 0.0:
         return np.ones(len(a))
     near = np.clip(v, v[cycle].min(), v[cycle].max())  # a polynomial says nothing beyond
     log_cycle = np.polyval(np.polyfit(v[cycle], np.log(a[cycle]), 2), near)
@@ -287,7 +221,7 @@ def _held_out(
 ) -> tuple[HeldOutSpeed, ...]:
     """Limit cycles of each airspeed, predicted from the others."""
     cycles = [row for row in rows if row.cycle]
-    if len(cycles) < _FEWEST_CYCLES or not any(term.name == LIMIT_CYCLE for term in fitted.terms):
+    if len(cycles) < FEWEST_CYCLES or not any(term.name == LIMIT_CYCLE for term in fitted.terms):
         return ()
     largest = np.array([row.amplitude for row in rows]).max(axis=0)
     typical_hz = float(np.sqrt(np.median([row.frequency_hz**2 for row in rows])))

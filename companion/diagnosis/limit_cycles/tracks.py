@@ -7,7 +7,7 @@ mean nor harmonics are in it, amplitude is |z|, frequency the slope of its phase
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.signal import medfilt
@@ -24,18 +24,21 @@ _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
 _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked for (choice)
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
+_COHERENT = 0.9  # chosen: of the sum of a cross-spectrum without phases: 0.45 rad rms of phase
+Envelope = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 STEADY = 0.06
 """Relative range of the amplitude in what counts as a limit cycle (choice)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawVibration:
-    """One recording: ``t_s`` (n,), responses by name (n,), and the airspeed that it says (None: none)."""
+    """One recording: ``t_s`` (n,), responses by name (n,), the airspeed that it says (None: none), measured forces."""
 
     name: str
     t_s: Floats
     responses: Mapping[str, Floats]
     airspeed_mps: float | None
+    forces: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,8 @@ class VibrationTrack:
         By response, in its own unit.
     steady : (w,)
         Whether the window is part of a limit cycle.
+    forces, driven_by : tuple of str
+        Forces that were measured, and those with a line in step with the limit cycle.
     """
 
     name: str
@@ -59,6 +64,8 @@ class VibrationTrack:
     growth_radps: Floats
     amplitude: dict[str, Floats]
     steady: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    forces: tuple[str, ...] = ()
+    driven_by: tuple[str, ...] = ()
 
 
 def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
@@ -111,6 +118,14 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     blown = table[:, 3] > _UNEVEN
     near = np.convolve(blown, np.ones(3))[1:-1] > 0.5  # averages reach one window further
     keep = steady | (~near & (levels[:, 0] > floor))
+    cycling = steady & (levels[:, 0] > floor)
+    middles = _WINDOW * np.flatnonzero(cycling) + _WINDOW // 2
+    driven_by = []
+    for name, values in raw.forces.items():
+        force = _clean(np.interp(even_s, raw.t_s, values))
+        line = _envelope(force, centre_hz / rate_hz, period)[at][middles]
+        if _in_step(line, z[middles], _NOISE_FLOOR * _beside(force, rate_hz, centre_hz)):
+            driven_by.append(name)
     return VibrationTrack(
         raw.name,
         raw.airspeed_mps,
@@ -118,8 +133,18 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
         table[keep, 1],
         table[keep, 2],
         {name: levels[keep, i] for i, name in enumerate(envelopes)},
-        steady[keep] & (levels[keep, 0] > floor),
+        cycling[keep],
+        tuple(raw.forces),
+        tuple(driven_by),
     )
+
+
+def _in_step(line: Envelope, vibration: Envelope, floor: float) -> bool:
+    """Whether the envelope of a force (w,) stands above its noise, at a constant phase to that of a vibration (w,)."""
+    if not len(line) or float(np.median(np.abs(line))) < max(floor, 1e-300):
+        return False
+    turn = line * np.conj(vibration)
+    return bool(np.abs(np.sum(turn)) > _COHERENT * np.sum(np.abs(turn)))
 
 
 def _clean(values: Floats) -> Floats:
@@ -147,7 +172,7 @@ def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> 
     return float(f_hz[inside][k]), float(power[inside][k]), float(np.median(power[inside]))
 
 
-def _envelope(values: Floats, frequency: float, period: int) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+def _envelope(values: Floats, frequency: float, period: int) -> Envelope:
     box = np.ones(period) / period
     demodulated = values * np.exp(-2j * np.pi * frequency * np.arange(len(values)))
     return np.asarray(2.0 * np.convolve(demodulated, np.convolve(box, box), "same"))
