@@ -54,7 +54,6 @@ typedef struct {
     double per_shortening, per_further_shortening; /* by relative errors of the way inboard */
     double rest;          /* what a linear form of these leaves of the slope row */
     double gain;          /* what a unit of force adds to the row */
-    double lean;          /* what tilt and force read together */
     double variance;      /* by accelerations that the measured sums do not tell apart */
     double blow_variance; /* the same by a blow, whose shares are not a gust's */
     /* the force as it is expected without the measured acceleration, for the row that measures it, and its derivatives
@@ -313,7 +312,6 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     double all = tip.force + sign * f->lateral_mps2[2 * k + side]; /* by 1 / cos(slope), once it is turned */
     double lean = tan(read) - gain * (tip.force + 0.5 * all * squared(slope));
     tip.gain = gain / (1.0 + squared(lean));
-    tip.lean = f->linearised[SLOPES + side] + gain * tip.force;
     tip.rest = atan(lean) - read + tip.gain * linear;
     return tip;
 }
@@ -375,7 +373,7 @@ static void linearise_rows(run *f, int64_t k)
         if (r >= 0 && f->constants->common_bias_column) /* the slope seen is lateral over vertical force */
             for (int tip = 0; tip < 2; tip++)
                 f->H[r * n + f->vertical_bias_state[tip]] -=
-                    f->tip[side].lean / vertical * f->bias_projection[2 * side + tip];
+                    f->linearised[SLOPES + side] / vertical * f->bias_projection[2 * side + tip];
     }
 }
 
@@ -472,8 +470,8 @@ static void find_innovation(run *f, int64_t k, double *out)
             add_shortening(f, f->constants->shortening_column, -tip->gain * tip->per_shortening, out + r * width);
             add_shortening(f, f->constants->further_shortening_column, -tip->gain * tip->per_further_shortening,
                            out + r * width);
-            if (f->constants->common_bias_column)
-                out[r * width + f->constants->common_bias_column] += f->tip[side].lean / vertical;
+            if (f->constants->common_bias_column) /* of the tilt alone: the tip's force is over the measured one */
+                out[r * width + f->constants->common_bias_column] += slope / vertical;
             add_acceleration_errors(f, k, side, out + r * width);
         }
     }

@@ -251,10 +251,10 @@ def _linearise(
         residual_columns[Y_LEFT + side, const.regressor_columns[const.regressor_rows == Z_LEFT + side]] -= tip.by_force
     for side in (0, 1) if const.common_bias_column else ():
         if epochs.present[k, Y_LEFT + side]:
-            # the slope seen is lateral over vertical force
-            lean = tips[side].lean
-            residual_columns[Y_LEFT + side, const.common_bias_column] += lean / vertical_mps2[side]
-            H[Y_LEFT + side, const.vertical_bias_state] -= lean / vertical_mps2[side] * const.bias_projection[side]
+            # the slope seen is lateral over vertical force, of which the tip's own is over the measured one
+            per_bias = slope[side] / vertical_mps2[side]
+            residual_columns[Y_LEFT + side, const.common_bias_column] += per_bias
+            H[Y_LEFT + side, const.vertical_bias_state] -= per_bias * const.bias_projection[side]
     lateral = epochs.lateral_mps2[k] + np.array([1.0, -1.0]) * force
     H[up] -= (vertical_mps2 * slope + lateral)[:, None] * model.linearisation_rows[:2]
     lift_rows, p = _lift_rows(const, model), float(linearised[4])
@@ -301,7 +301,6 @@ class _MovingTip(NamedTuple):
     variance_mps2_2: float
     blow_variance_mps2_2: float
     per_measured: float
-    lean: float
     expected_mps2: float
     by_acceleration: Floats
     by_force: float
@@ -364,7 +363,6 @@ def _moving_tip(
     gain, read = float(epochs.lateral_gain[k, side]), float(epochs.rows[k, Y_LEFT + side])
     turned = 0.5 * slope**2 * (force + sign * float(epochs.lateral_mps2[k, side]))
     lean = math.tan(read) - gain * (force + turned)
-    predicted = slope + gain * force
     gain /= 1.0 + lean**2
     return _MovingTip(
         gain * row,
@@ -373,7 +371,6 @@ def _moving_tip(
         variance,
         blow_variance,
         per_measured + per_other,
-        predicted,
         expected,
         gain * np.array([per_measured, per_other]),
         gain * force,
