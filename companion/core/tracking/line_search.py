@@ -2,7 +2,8 @@
 
 A line stands high above the median of the periodogram around it, and its envelope is steady: the squared magnitude of
 short transforms varies little. A lightly damped bending mode stands as high, but is noise in a narrow band, whose
-squared envelope varies as much as its mean (Rayleigh): it is left to the wing's model.
+squared envelope varies as much as its mean (Rayleigh): it is left to the wing's model. In one window of some hundred it
+varies little by chance: so a new leader is steady in any channel, or fairly steady in two searches in a row.
 
 Lines of one shaft turn together. The strongest is the leader; in samples that are turned back by a rational multiple of
 its phase, another line of the shaft stands at zero frequency, however rpm wanders: so weak ones show, and such below
@@ -25,6 +26,7 @@ from companion.core.tracking.line_peaks import (
     NEAR_HZ,
     NO_POWER,
     SHORT_S,
+    SURE_VARIATION,
     ChannelWindow,
     Peak,
     by_station,
@@ -159,6 +161,7 @@ class KnownLines:
 
     def __init__(self) -> None:
         self._shafts: list[_KnownShaft] = []
+        self._unsure: list[Peak] = []  # leaders of the last search that may be noise in a narrow band
         self._next = 0
 
     @property
@@ -193,8 +196,11 @@ class KnownLines:
             shaft.follow(*followed.get(shaft.number, (shaft.leader_hz, 0.0)))
             peaks = yield from self._look_again(shaft, peaks, channels)
         peaks = [peak for peak in peaks if peak.frequency_hz >= LOWEST_HZ]
+        before, self._unsure = self._unsure, [peak for peak in peaks if peak.variation > SURE_VARIATION]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
             leader, *peaks = peaks
+            if leader in self._unsure and not any(_is_near(leader, other) for other in before):
+                continue
             if is_harmonic_of_mode(leader, channels):
                 continue
             self._begin(leader)
@@ -236,6 +242,11 @@ class KnownLines:
             if shaft.searches > 0 and not any(abs(shaft.leader_hz - other.leader_hz) < _ONE_HZ for other in distinct):
                 distinct.append(shaft)
         self._shafts = distinct
+
+
+def _is_near(peak: Peak, other: Peak) -> bool:
+    """Whether one peak may be the other, at another rpm."""
+    return abs(peak.frequency_hz / other.frequency_hz - 1.0) < _SAME_RATIO
 
 
 def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int, float]]:
