@@ -14,7 +14,6 @@ import pytest
 from companion.cli.main import main
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json
-from companion.diagnosis.forced.noise_bias import NoiseShare
 from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
@@ -228,24 +227,50 @@ def _with_noise(entry: ForcedRecording, ratio: float, seed: int) -> ForcedRecord
     return dataclasses.replace(entry, response=entry.response + noise)
 
 
-@pytest.mark.parametrize("ratio", [0.01, 0.05])
-def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float) -> None:
+@pytest.mark.parametrize(("ratio", "within"), [(0.01, 0.03), (0.05, 0.03), (0.3, 0.2)])
+def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float, within: float) -> None:
     """With rows of nothing but noise the coefficient came out 6 to 22 % too small, by up to 27 sigma."""
     noisy = _with_noise(driven(3, 4.0, noise=0.0, swept_hz=(20.0, 150.0)), ratio, 6)
     plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
     assert not plain["notes"]
     coefficient = plain["causes"][0]["parameters"]["coefficient"]
     assert abs(coefficient["value"] - 4.0) < 4.0 * coefficient["sigma"]
-    assert coefficient["value"] == pytest.approx(4.0, rel=0.03)
+    assert coefficient["value"] == pytest.approx(4.0, rel=within)
 
 
-@pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (0.3, True)])
-def test_a_bias_that_is_too_large_to_be_taken_off_is_noted(ratio: float, noted: bool) -> None:
-    """A stiffness of 0.3 instead of 1 came out as adequate, without a word."""
-    noisy = _with_noise(driven(1, 0.0), ratio, 8)
-    plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
-    assert any("draws the coefficients to 0" in note for note in plain["notes"]) == noted
-    assert (plain["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.01)) == (not noted)
+@pytest.mark.parametrize("ratio", [0.01, 0.1, 0.3])
+def test_noise_of_the_response_draws_no_coefficient_to_zero(hardening: ForcedRecording, ratio: float) -> None:
+    """With 30 % a stiffness of 0.3 instead of 1 and a cubic of 1.5 instead of 4 came out.
+
+    Delay and laws are sought by least squares. At 30 % half of the seeds may find a false delay or no law, yet not as
+    ``explained``, and a note must say that coefficients are not to be trusted.
+    """
+    linear = as_json(diagnose_forced([_with_noise(driven(1, 0.0), ratio, 8)], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert linear["verdict"] == "adequate"
+    assert linear["linear"]["before"]["stiffness"] == pytest.approx(1.0, rel=0.02)
+    assert not any("draws the coefficients to 0" in note for note in linear["notes"])
+    pulls = []
+    for seed in range(4):
+        noisy = _with_noise(hardening, ratio, seed)
+        plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
+        distrusted = any(re.search("noise draws|beyond their intervals|do not trust", note) for note in plain["notes"])
+        assert distrusted == (plain["verdict"] != "explained")
+        if distrusted:
+            continue
+        assert [cause["name"] for cause in plain["causes"]] == ["cubic-stiffness"]
+        coefficient = plain["causes"][0]["parameters"]["coefficient"]
+        assert coefficient["value"] == pytest.approx(4.0, rel=0.4 * ratio)
+        pulls.append((coefficient["value"] - 4.0) / coefficient["sigma"])
+    assert len(pulls) >= (2 if ratio > 0.2 else 4)
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.8  # 1 % of a chi of four
+
+
+def test_coefficients_that_are_not_freed_of_noise_are_noted(hardening: ForcedRecording) -> None:
+    judged = diagnose_forced([hardening], BAND_HZ, 3, lambda _what, _ratio: None)
+    assert not as_json(judged)["notes"]
+    lost = dataclasses.replace(judged, consistent=(None, None))
+    (note,) = as_json(lost)["notes"]
+    assert "may lie beyond their intervals" in note
 
 
 @pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (1.0, True)])
@@ -254,14 +279,6 @@ def test_an_equation_that_leaves_most_of_the_force_is_noted(ratio: float, noted:
     noisy = _with_noise(driven(1, 0.0), ratio, 8)
     plain = as_json(diagnose_forced([noisy], BAND_HZ, 3, lambda _what, _ratio: None))
     assert any("% of the force: the response is noise" in note for note in plain["notes"]) == noted
-
-
-@pytest.mark.parametrize(("added", "moved"), [(0.4, 1.0 / 0.6 - 1.0), (0.6, 0.0)])
-def test_the_noise_of_one_column_shifts_its_coefficient_up_to_half(added: float, moved: float) -> None:
-    """(A - B) theta = A theta_LS with A = 1 and theta_LS = 1."""
-    biased = NoiseShare(("stiffness", "unused"), np.array([[0.6, 0.8], [1.0, 0.0]]), np.diag([added, 0.0]))
-    assert biased.ratio(["stiffness"], 0.0) == pytest.approx(added)
-    assert biased.shift(["stiffness"], np.array([1.0]), 0.0) == pytest.approx({"stiffness": moved})
 
 
 @pytest.fixture(scope="module")
@@ -375,7 +392,6 @@ def test_intervals_of_a_linear_oscillator_hold_the_truth_as_often_as_they_say() 
         shown = swing + 3e-4 * swing.std() * rng.standard_normal(count)
         recording = ForcedRecording("", np.arange(count) / rate_hz, np.fft.irfft(spectrum, count), shown)
         diagnosis = diagnose_forced([recording], (2.0, 28.0), 0, lambda _what, _ratio: None)
-        sigmas = [diagnosis.outcome.null.value(name)[1] for name in ("mass", "damping", "stiffness")]
-        pulls.append((diagnosis.linear(False) - truth) * diagnosis.scale[:3] / sigmas)
+        pulls.append((diagnosis.linear(False) - truth) / diagnosis.linear_sigmas(False))
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=0.4)
     assert np.mean(np.abs(pulls) < 1.96) > 0.9

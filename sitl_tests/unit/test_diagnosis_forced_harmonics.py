@@ -52,12 +52,16 @@ def judged(motion: tuple[Floats, Floats], every: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("every", [1, 2, 4])
-def test_an_interval_holds_the_truth_or_a_note_says_to_record_faster(motion: tuple[Floats, Floats], every: int) -> None:
-    """Harmonics of 30 to 40 Hz lie about 100 Hz: half of 200 Hz folds them back, half of 400 Hz holds them."""
+def test_an_interval_holds_the_truth_and_a_note_says_to_record_faster(
+    motion: tuple[Floats, Floats], every: int
+) -> None:
+    """Harmonics of 30 to 40 Hz lie about 100 Hz: half of 200 Hz folds them back, half of 400 Hz holds them.
+
+    At 200 and 100 Hz the cubic was 6 and 14 sigma off, because what folds back was taken for motion.
+    """
     plain = judged(motion, every)
     cubic = next(cause for cause in plain["causes"] if cause["name"] == "cubic-stiffness")["parameters"]["coefficient"]
     off = abs(cubic["value"] - CUBIC) / cubic["sigma"]
     noted = any("beyond half the rate" in note and "record at twice the rate" in note for note in plain["notes"])
     assert noted == (every > 1)
-    assert (off > 5.0) == noted
-    assert noted or off < 3.0
+    assert off < 3.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -22,7 +22,7 @@ from companion.records import Bools, Floats
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
 _LEAST_BINS = 8  # chosen: bins of the band in a segment, more than the parameters of a mode
 _EDGE = 0.02  # of a recording, left out at either end (choice)
-_FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
+FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument (choice)
 _LEAST_SPREAD = 1.0  # chosen, bins rms: a tone in a Hann taper has 0.33 to 0.5
 _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was excited, a tenth of a usual segment
 _EXCITED = 0.01  # of the segment's largest power of the force, from which a bin is excited (choice)
@@ -34,6 +34,7 @@ LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
     CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
 }
+_SIGN = list(LAWS).index(CoulombFriction.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,29 @@ class ForcedRecording:
     force: Floats
     response: Floats
     kind: ResponseKind = ResponseKind.DISPLACEMENT
+
+
+@dataclass(frozen=True, slots=True)
+class TaperedSegment:
+    """Samples of a recording from ``first`` to before ``stop``, and the ``bins`` (f,) of their transform that count."""
+
+    recording: int
+    first: int
+    stop: int
+    bins: Bools
+
+    def rows(self, series: Sequence[Floats]) -> Spectra:
+        """Tapered transforms (s, b) of whole series (n,) in the bins."""
+        count = self.stop - self.first
+        taper = np.hanning(count) / np.sqrt(count)
+        return np.stack([np.fft.rfft(taper * values[self.first : self.stop]) for values in series])[:, self.bins]
+
+    def turned_back(self, weights: Spectra) -> Floats:
+        """Factors (stop - first,) of the samples of a series in the real sum of ``weights``^* (b,) times its rows."""
+        count = self.stop - self.first
+        spectrum = np.zeros(len(self.bins), dtype=np.complex128)
+        spectrum[self.bins] = weights
+        return np.asarray(np.hanning(count) * np.fft.irfft(spectrum, count) * (0.5 * np.sqrt(count)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +85,21 @@ class EquationRows:
     block: Floats
     motions: Floats
     power: float
+    segments: tuple[TaperedSegment, ...]
 
     @property
     def slopes(self) -> Floats:
         """Slopes of the laws over deflection and speed, (2, laws, samples); of a sign the nearest line's."""
         q, v = self.motions
-        none, jump = np.zeros_like(q), math.sqrt(2.0 / math.pi) / float(v.std())
-        return np.stack([[3.0 * q**2, 2.0 * q, none, none], [none, none, 2.0 * np.abs(v), np.full_like(q, jump)]])
+        slopes = law_slopes(q, v)
+        slopes[1, _SIGN] = math.sqrt(2.0 / math.pi) / float(v.std())
+        return slopes
+
+
+def law_slopes(q: Floats, v: Floats) -> Floats:
+    """Slopes of the laws over deflection and speed (n,), (2, laws, n); of a sign 0."""
+    none = np.zeros_like(q)
+    return np.stack([[3.0 * q**2, 2.0 * q, none, none], [none, none, 2.0 * np.abs(v), none]])
 
 
 def equation_rows(
@@ -79,16 +111,18 @@ def equation_rows(
     """Bins of all recordings; ``kind`` is what every response is taken for, None: what it says."""
     n_segments = max(_SEGMENTS // len(recordings), 2)
     tables, omegas, kinds, blocks, motions, power = [], [], [], [], [], 0.0
+    segments: list[TaperedSegment] = []
     for k, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
         taken = entry.kind if kind is None else kind
         series = _series(even, band_hz, taken)
         motions.append(np.stack([series[3], series[2]]))
-        for i, (table, omega, of_deflection) in enumerate(
-            _segments(entry.name, even, series, taken, band_hz, n_segments)
-        ):
-            tables.append(table)
+        for i, segment in enumerate(_segments(entry.name, k, even, series, taken, band_hz, n_segments)):
+            omega = 2.0 * np.pi * _frequencies_hz(segment, even.rate_hz)[segment.bins]
+            segments.append(segment)
+            tables.append(segment.rows(series))
             omegas.append(omega)
-            power += of_deflection
+            everywhere = replace(segment, bins=np.ones_like(segment.bins))
+            power += float(np.sum(np.abs(everywhere.rows(series[3:4])) ** 2))
             kinds.append(np.full(len(omega), float(taken)))
             blocks.append(np.full(len(omega), float(k * n_segments + i)))
     if not tables:
@@ -98,7 +132,7 @@ def equation_rows(
     )
     bins_radps = [float(np.diff(each).min()) for each in omegas if len(each) > 1]  # without force none
     _check_spread(np.abs(table[0]) ** 2, omega, max(bins_radps, default=np.inf))
-    return EquationRows(table, omega, kinds_of, block, motion, power)
+    return EquationRows(table, omega, kinds_of, block, motion, power, tuple(segments))
 
 
 def refuse_integrated_noise(rows: EquationRows, band_hz: tuple[float, float]) -> None:
@@ -133,15 +167,21 @@ def beyond_half_rate(
     m, c, k = linear.tolist()
     ratios = []
     for entry, even in zip(recordings, grids, strict=True):
-        spectrum, jw = _motion(even, band_hz, entry.kind)
-        omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * len(even.force), 1.0 / (_FINER * even.rate_hz))
+        spectrum, jw = motion_spectrum(even, band_hz, entry.kind)
+        omega = 2.0 * np.pi * np.fft.rfftfreq(FINER * len(even.force), 1.0 / (FINER * even.rate_hz))
         moved = laws @ _law_spectra(spectrum, jw, len(even.force)) / (k + 1j * omega * c - omega**2 * m)
         ratios.append(float(np.linalg.norm(moved[omega > np.pi * even.rate_hz]) / np.linalg.norm(spectrum)))
     return max(ratios)
 
 
-def _motion(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
-    """Spectrum of the deflection, and j omega, (f,).
+def motion_spectrum(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+    """Spectrum of the deflection, and j omega, (f,)."""
+    integral, jw = integration(even, band_hz, kind)
+    return integral * np.fft.rfft(even.response), jw
+
+
+def integration(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+    """Spectrum of the deflection over that of the response, and j omega, (f,).
 
     A speed or acceleration is integrated above half of the band's lower edge.
     """
@@ -149,20 +189,19 @@ def _motion(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKin
     jw: Spectra = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
     least_hz = 0.5 * band_hz[0] if kind else 0.0
     measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
-    recorded: Spectra = np.where(measured, np.fft.rfft(even.response), 0.0)
-    return np.asarray(recorded / np.where(measured & (kind > 0), jw, 1.0) ** kind, dtype=np.complex128), jw
+    return np.asarray(measured / np.where(measured & (kind > 0), jw, 1.0) ** kind, dtype=np.complex128), jw
 
 
 def _law_spectra(spectrum: Spectra, jw: Spectra, count: int) -> Spectra:
     """Spectra of the laws at several times the rate, (laws, f)."""
-    fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, _FINER * count) * _FINER for power in (0, 1))
-    return np.stack([np.fft.rfft(law(fine_q, fine_v)) / _FINER for _, law in LAWS.values()])
+    fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, FINER * count) * FINER for power in (0, 1))
+    return np.stack([np.fft.rfft(law(fine_q, fine_v)) / FINER for _, law in LAWS.values()])
 
 
 def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
     """Force, acceleration, speed, deflection and laws over time, (n,) each."""
     count = len(even.force)
-    spectrum, jw = _motion(even, band_hz, kind)
+    spectrum, jw = motion_spectrum(even, band_hz, kind)
     deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
     laws = _law_spectra(spectrum, jw, count)[:, : len(jw)]
     return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
@@ -170,31 +209,33 @@ def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKin
 
 def _segments(
     name: str,
+    number: int,
     even: EvenRecording,
     series: Sequence[Floats],
     kind: ResponseKind,
     band_hz: tuple[float, float],
     n_segments: int,
-) -> list[tuple[Spectra, Floats, float]]:
-    """All series (s, f) of each segment without a gap in the excited bins of the band, omega (f,), deflection's power.
-
-    The power is that at all frequencies.
-    """
+) -> list[TaperedSegment]:
+    """Segments of recording ``number`` without a gap, with the excited bins of the band."""
     segments, count = [], len(series[0])
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), n_segments):
-        segment_hz = np.fft.rfftfreq(len(index), 1.0 / even.rate_hz)
+        segment = TaperedSegment(
+            number, int(index[0]), int(index[-1]) + 1, np.ones(len(index) // 2 + 1, dtype=np.bool_)
+        )
+        segment_hz = _frequencies_hz(segment, even.rate_hz)
         inside = (segment_hz > band_hz[0]) & (segment_hz < band_hz[1])
         if inside.sum() < _LEAST_BINS:
             raise RecordingError(f"{name}: too short: {n_segments} segments must hold {_LEAST_BINS} frequencies each")
         if even.lost[index].any():
             continue
-        taper = np.hanning(len(index))
-        spectra = np.stack([np.fft.rfft(taper * values[index]) / np.sqrt(len(index)) for values in series])
-        inside &= _excited(spectra[0], inside) | _above_noise(spectra[3 - kind], inside)
-        power = float(np.sum(np.abs(spectra[3]) ** 2))
-        segments.append((spectra[:, inside], np.asarray(2.0 * np.pi * segment_hz[inside]), power))
+        force, response = segment.rows([series[0], series[3 - kind]])
+        segments.append(replace(segment, bins=inside & (_excited(force, inside) | _above_noise(response, inside))))
     return segments
+
+
+def _frequencies_hz(segment: TaperedSegment, rate_hz: float) -> Floats:
+    return np.asarray(np.fft.rfftfreq(segment.stop - segment.first, 1.0 / rate_hz))
 
 
 def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:

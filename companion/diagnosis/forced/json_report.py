@@ -80,10 +80,15 @@ def _zero(diagnosis: ForcedDiagnosis) -> list[str]:
 
 
 def _bias(diagnosis: ForcedDiagnosis) -> list[str]:
-    """Where the response's noise is too large for its bias to be taken off."""
+    """Where the coefficients could not be freed of what the response's noise does to them."""
+    if diagnosis.consistent[1] is not None:
+        return []
     ratio = diagnosis.noise_ratio()
     if ratio <= MOST_NOISE:
-        return []
+        return [
+            "no motion of the fitted law is near the response: coefficients are freed of its noise to first order "
+            "alone, and may lie beyond their intervals; drive harder, or at another level"
+        ]
     return [
         f"the response's noise draws the coefficients to 0, by a bias too large to be taken off: it is {ratio:.2f} of "
         f"the normal matrix, {MOST_NOISE:g} at most; drive harder, or narrow band_hz"

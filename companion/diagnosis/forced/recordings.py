@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 
 from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.diagnosis.forced.consistent_fit import DELAY, LINEAR, ConsistentFit, consistent_fit
 from companion.diagnosis.forced.equation_rows import (
     LAWS,
     EquationRows,
@@ -32,6 +33,7 @@ from companion.diagnosis.forced.even_recording import EvenRecording, evenly
 from companion.diagnosis.forced.force_delay import error_ratio, least_error, real_rows
 from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
 from companion.diagnosis.forced.response_kind import ResponseKind, another_kind
+from companion.diagnosis.forced.row_noise import profile_log_likelihood, row_noise
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Cause, Progress
 from companion.diagnosis.selection.regression import (
@@ -46,11 +48,8 @@ from companion.errors import RecordingError
 from companion.records import Floats
 
 FORCE = "force"
-_PASSES = 4  # of least squares: the weight depends on the coefficients (choice)
-_FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over the response's mean, by 1.26 (choice)
 _INDEPENDENT = 18.0 / 35.0  # derived: of a Hann taper's bins, (sum t^2)^2 / (m sum t^4) with means 3/8 and 35/128
 _DELAY_GAIN = 9.0  # chosen: nat of likelihood that a delay must gain: 6, and ln 33 for the places where it is sought
-_DELAY = "delay of the force"
 _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows of the longest delay (choice)
 _MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
 _FAR_FROM_ZERO = 5.0  # chosen, standard deviations of the response: a cube was explained at 5, not so at 10
@@ -67,17 +66,43 @@ class ForcedDiagnosis:
     recordings: tuple[ForcedRecording, ...]
     scale: Floats
     noise: NoiseShare
+    consistent: tuple[ConsistentFit | None, ConsistentFit | None] = (None, None)
     notes: tuple[str, ...] = ()
 
     def linear(self, extended: bool) -> Floats:
         """Mass, damping and stiffness, (3,)."""
+        consistent = self.consistent[extended]
+        if consistent is not None:
+            return consistent.values[:3]
+        return self._compensated(extended)
+
+    def linear_sigmas(self, extended: bool) -> Floats:
+        """Sigmas of mass, damping and stiffness, (3,)."""
+        consistent = self.consistent[extended]
+        if consistent is not None:
+            return np.array([consistent.value(name)[1] for name in LINEAR])
+        fitted = self.outcome.final if extended else self.outcome.null
+        return np.array([fitted.value(name)[1] for name in LINEAR]) / self.scale[:3]
+
+    def start(self, extended: bool) -> tuple[list[str], Floats]:
+        """Accepted laws of a model, and the coefficients by bias compensation, (c,): three, and all laws."""
         fitted = self.outcome.final if extended else self.outcome.null
         shift = self._shift(fitted)
-        return np.array([fitted.value(name)[0] + shift[name] for name in _LINEAR]) / self.scale[:3]
+        laws = [name for name in LAWS if name in fitted.keys]
+        each = {name: fitted.value(name)[0] + shift[name] for name in (*LINEAR, *laws)}
+        return laws, np.array([each.get(name, 0.0) for name in (*LINEAR, *LAWS)]) / self.scale
+
+    def _compensated(self, extended: bool) -> Floats:
+        fitted = self.outcome.final if extended else self.outcome.null
+        shift = self._shift(fitted)
+        return np.array([fitted.value(name)[0] + shift[name] for name in LINEAR]) / self.scale[:3]
 
     def coefficient(self, cause: Cause[RegressionTerm]) -> tuple[float, float]:
         """Coefficient of a law in force per its power of the response, and its sigma."""
         name = cause.term.name
+        consistent = self.consistent[True]
+        if consistent is not None:
+            return consistent.value(name)
         unit = float(self.scale[3 + list(LAWS).index(name)])
         return (cause.values[0] + self._shift(self.outcome.final)[name]) / unit, cause.sigmas[0] / unit
 
@@ -91,11 +116,8 @@ class ForcedDiagnosis:
 
     def negative(self) -> list[str]:
         """Which of mass, damping and stiffness lie below 0 beyond chance."""
-        fitted = self.outcome.final
-        return [name for name in _LINEAR if fitted.value(name)[0] < -_SURE * fitted.value(name)[1]]
-
-
-_LINEAR = ("mass", "damping", "stiffness")
+        each = zip(LINEAR, self.linear(True).tolist(), self.linear_sigmas(True).tolist(), strict=True)
+        return [name for name, value, sigma in each if value < -_SURE * sigma]
 
 
 class _Forced(Regressions):
@@ -135,10 +157,10 @@ def diagnose_forced(
     omega, block = np.tile(rows.omega, 2), np.tile(rows.block, 2)
     linear = tuple(
         Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
-        for name, column in zip(_LINEAR, columns, strict=False)
+        for name, column in zip(LINEAR, columns, strict=False)
     )
     if delay_s:  # its error is one of damping
-        linear += (Coefficient(_DELAY, FORCE, late, step_s, "s", "what is left of the delay"),)
+        linear += (Coefficient(DELAY, FORCE, late, step_s, "s", "what is left of the delay"),)
     rms = float(np.sqrt(np.mean(force**2)))
     group = np.zeros(len(force), dtype=np.int64)
     response = RegressionResponse(
@@ -151,23 +173,29 @@ def diagnose_forced(
     notes = (*(note for even in grids for note in even.notes), *_offsets(recordings))
     outcome = diagnose(_Forced([response], terms), most, progress)
     if delay_s:
-        rest_s, sigma_s = outcome.final.value(_DELAY)
+        rest_s, sigma_s = outcome.final.value(DELAY)
         comes = "late" if delay_s > 0.0 else "early"
         notes += (
             f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
             f"{abs(delay_s + rest_s) / step_s:.2f} rows: removed; look for filters or clocks that differ",
         )
-    error = error_ratio(rows.table[0], rows.table[1:], rows.omega, delay_s)
-    if error > _MOST_ERROR:
-        notes += (
-            f"the equation leaves {100.0 * error:.0f} % of the force: the response is noise for the most part, or has "
-            "another cause; do not trust its coefficients",
-        )
     added = added_by_noise(omega, np.tile(rows.kind, 2), rows.slopes, variance, scale)
     late_too = np.pad(added, ((0, 1), (0, 1)))
     white = np.concatenate([columns, late[None, :]]) / weight
-    noise = NoiseShare((*_LINEAR, *LAWS, _DELAY), white, late_too)
-    diagnosis = ForcedDiagnosis(outcome, tuple(recordings), scale, noise, notes)
+    noise = NoiseShare((*LINEAR, *LAWS, DELAY), white, late_too)
+    diagnosis = ForcedDiagnosis(outcome, tuple(recordings), scale, noise)
+    consistent = [
+        consistent_fit(recordings, grids, band_hz, rows, delay_s or None, laws, start)
+        for laws, start in map(diagnosis.start, (False, True))
+    ]
+    diagnosis = replace(diagnosis, consistent=(consistent[0], consistent[1]))
+    error = error_ratio(rows.table[0], rows.table[1:], rows.omega, delay_s)
+    if error > _MOST_ERROR:
+        trust = "laws may be hidden" if consistent[1] else "do not trust its coefficients"
+        notes += (
+            f"the equation leaves {100.0 * error:.0f} % of the force: the response is noise for the most part, or has "
+            f"another cause; {trust}",
+        )
     if {"mass", "stiffness"} <= set(diagnosis.negative()):
         raise RecordingError(
             "mass and stiffness come out negative: force and response have opposite signs (change the sign of one in "
@@ -189,9 +217,13 @@ def _aliased(diagnosis: ForcedDiagnosis, grids: Sequence[EvenRecording], band_hz
     if ratio <= _MOST_ALIASED:
         return []
     half_hz = 0.5 * _common_rate_hz(diagnosis.recordings, grids)
+    if diagnosis.consistent[1] is None:
+        harm = "coefficients may be off by many sigmas"
+    else:
+        harm = "coefficients allow for that, verdict and held-out error do not"
     return [
         f"by the law {100.0 * ratio:.2g} % of the response's rms lies beyond half the rate, {half_hz:.4g} Hz, and "
-        "folds back: coefficients may be off by many sigmas; record at twice the rate or more"
+        f"folds back: {harm}; record at twice the rate or more"
     ]
 
 
@@ -267,12 +299,7 @@ def _log_likelihood(rows: EquationRows, delay_s: float) -> float:
     force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
     columns, _, weight, _ = _weighted(rows, delay_s)
     left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
-    return _profile_log_likelihood(left, weight)
-
-
-def _profile_log_likelihood(residual: Floats, weight: Floats) -> float:
-    """Log likelihood of normal residuals (n,) with relative standard deviations (n,), at its best common factor."""
-    return float(-0.5 * len(residual) * np.log(np.mean((residual / weight) ** 2)) - np.log(weight).sum())
+    return profile_log_likelihood(left, weight)
 
 
 def _weighted(rows: EquationRows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:
@@ -281,30 +308,4 @@ def _weighted(rows: EquationRows, delay_s: float) -> tuple[Floats, Floats, Float
     columns = real_rows(rows.table[1:])
     scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
     columns = columns / scale[:, None]
-    return columns, scale, *_weight(rows, force, columns, scale)
-
-
-def _weight(rows: EquationRows, force: Floats, columns: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Relative standard deviation of each row, (2 n,), and its variance over that of the response's bin.
-
-    An error of the response counts as one of the deflection.
-    """
-    weight, omega, slopes = np.ones(len(force)), np.tile(rows.omega, 2), rows.slopes
-    variance = weight
-    differentiated = omega ** np.tile(rows.kind, 2)
-    for _ in range(_PASSES):
-        values = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0]
-        m, c, k, *laws = values / scale
-        stiff, damp = np.array(laws) @ slopes
-        mean = k + stiff.mean() - omega**2 * m + 1j * omega * (c + damp.mean())
-        dynamic = np.sqrt(np.abs(mean) ** 2 + stiff.var() + omega**2 * damp.var()) / differentiated
-        level = float(dynamic.mean())
-        together = _beside_noise_of_force(dynamic / level, force - values @ columns)
-        weight, variance = together / together.mean(), (level * together) ** 2
-    return weight, variance
-
-
-def _beside_noise_of_force(weight: Floats, residual: Floats) -> Floats:
-    """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) most likely."""
-    together = (np.hypot(weight, ratio) for ratio in _FORCE_NOISES)
-    return max(together, key=lambda each: _profile_log_likelihood(residual, each))
+    return columns, scale, *row_noise(rows, force, columns, scale)

@@ -1,0 +1,58 @@
+"""Relative noise of the rows of the equation of motion, by the noise of the response and of the force together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.diagnosis.forced.equation_rows import EquationRows, TaperedSegment
+from companion.records import Floats
+
+_PASSES = 4  # of least squares: the weight depends on the coefficients (choice)
+_FORCE_NOISES = (0.0, *np.logspace(-2.0, 2.0, 41).tolist())  # rho tried: over the response's mean, by 1.26 (choice)
+
+
+def row_noise(rows: EquationRows, force: Floats, columns: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Relative standard deviation of each row, (r,), and its variance over that of the response's bin.
+
+    ``force`` (r,) and ``columns`` (s, r) are real rows, ``scale`` (s,) what the columns were divided by.
+    An error of the response counts as one of the deflection.
+    """
+    weight = np.ones(len(force))
+    variance = weight
+    for _ in range(_PASSES):
+        values = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0]
+        dynamic = np.tile(dynamic_stiffness(rows.omega, rows.kind, values / scale, rows.slopes), 2)
+        level = float(dynamic.mean())
+        together, _ = beside_noise_of_force(dynamic / level, force - values @ columns)
+        weight, variance = together / together.mean(), (level * together) ** 2
+    return weight, variance
+
+
+def dynamic_stiffness(
+    omega: Floats, kind: Floats, values: Floats, slopes: Floats, segment: TaperedSegment | None = None
+) -> Floats:
+    """Error of a row at ``omega`` (n,) over that of the response's bin, rms, (n,).
+
+    ``values`` (3 + laws,) are mass, damping, stiffness and the laws' coefficients, ``slopes`` (2, laws, samples) the
+    laws' over deflection and speed, of which a ``segment`` takes its share; None: all.
+    """
+    m, c, k, *laws = values.tolist()
+    both = np.tensordot(laws, slopes, (0, 1))
+    weight = np.ones(both.shape[1])
+    if segment is not None:
+        both, weight = both[:, segment.first : segment.stop], np.hanning(segment.stop - segment.first) ** 2
+    stiff, damp = np.average(both, axis=1, weights=weight)
+    stiff_var, damp_var = np.average((both - [[stiff], [damp]]) ** 2, axis=1, weights=weight)
+    mean = k + stiff - omega**2 * m + 1j * omega * (c + damp)
+    return np.asarray(np.sqrt(np.abs(mean) ** 2 + stiff_var + omega**2 * damp_var) / omega**kind)
+
+
+def beside_noise_of_force(weight: Floats, residual: Floats) -> tuple[Floats, float]:
+    """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) likeliest."""
+    together = [(np.hypot(weight, ratio), ratio) for ratio in _FORCE_NOISES]
+    return max(together, key=lambda each: profile_log_likelihood(residual, each[0]))
+
+
+def profile_log_likelihood(residual: Floats, weight: Floats) -> float:
+    """Log likelihood of normal residuals (n,) with relative standard deviations (n,), at its best common factor."""
+    return float(-0.5 * len(residual) * np.log(np.mean((residual / weight) ** 2)) - np.log(weight).sum())
