@@ -213,18 +213,12 @@ static double shortening_factor(const run *f, int64_t column)
     return column ? 1.0 + f->one_and_bias[column] : 1.0;
 }
 
-/* How much larger the root's roll acceleration of some epochs before is than the state's. */
-static double change_of_roll(const run *f, int64_t k)
-{
-    return f->earlier_roll_radps2[k] - f->linearised[ROLL_ACCELERATION];
-}
-
 /* Lift accelerations as the derivatives have them, by rank: those found, with the root's roll acceleration of some
  * epochs before. The state's, by which the tips' measured ones are found, is noisy, and its error is in the rows. */
 static void find_instruments(const run *f, int64_t k, int side, rank_shares share, const double *accelerations,
                              double *instruments)
 {
-    double change = change_of_roll(f, k);
+    double change = f->earlier_roll_radps2[k] - f->linearised[ROLL_ACCELERATION];
     for (int64_t b = 0; b < f->ranks; b++) {
         double lever_m = share.own[b] * f->lever_m[side] + share.other[b] * f->lever_m[1 - side];
         instruments[b] = accelerations[b] + lever_m * change;
@@ -395,25 +389,8 @@ static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
     return count;
 }
 
-/* How much larger a tip's force is in its slope row by the earlier roll acceleration. */
-static double force_change(const run *f, int64_t k, int side)
-{
-    return f->tip[side].per_roll_acceleration * change_of_roll(f, k);
-}
-
-/* How much larger the prediction of a row is by the earlier roll acceleration. */
-static double prediction_change(const run *f, int64_t k, int64_t row)
-{
-    if (Z_LEFT <= row && row < M_LEFT)
-        return f->lever_m[row - Z_LEFT] * change_of_roll(f, k);
-    if (Y_LEFT <= row && row < P_LEFT)
-        return f->tip[row - Y_LEFT].gain * force_change(f, k, (int)(row - Y_LEFT));
-    return 0.0;
-}
-
-/* Replace the measurement by its prediction in the sensitivities that contain it; by one with an earlier roll
- * acceleration, for the state's is noisy, and its error is in the row as well. */
-static void regress_on_prediction(run *f, int64_t k, double *out)
+/* Replace the measurement by its prediction in the sensitivities that contain it. */
+static void regress_on_prediction(run *f, double *out)
 {
     int64_t width = f->h.width;
     for (int row = 0; row < ROWS; row++) {
@@ -422,10 +399,9 @@ static void regress_on_prediction(run *f, int64_t k, double *out)
     }
     for (int64_t j = 0; j < f->regressors; j++) {
         int64_t at = f->position[f->regressor_rows[j]];
-        int64_t source = f->regressor_sources[j];
-        if (at >= 0 && f->position[source] >= 0)
+        if (at >= 0)
             out[at * width + f->regressor_columns[j]] +=
-                f->regressor_signs[j] * (f->row_innovation[source] - prediction_change(f, k, source));
+                f->regressor_signs[j] * f->row_innovation[f->regressor_sources[j]];
     }
     for (int side = 0; side < 2; side++) { /* the vertical force by which a tilt shows is measured too */
         int64_t at = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
@@ -452,7 +428,7 @@ static void add_acceleration_errors(const run *f, int64_t k, int side, double *o
     add_scaled(out + 1, sensitivity + (1 - side) * parameters, -tip->gain * tip->per_other, parameters);
     for (int64_t j = 0; j < f->regressors; j++)
         if (f->regressor_rows[j] == Z_LEFT + side)
-            out[f->regressor_columns[j]] -= tip->gain * (tip->force + force_change(f, k, side));
+            out[f->regressor_columns[j]] -= tip->gain * tip->force;
 }
 
 /* Sensitivity of a slope row (width,) to a relative error of the way inboard, whose estimate is in the row's rest. */
@@ -508,7 +484,7 @@ static void find_innovation(run *f, int64_t k, double *out)
         int64_t count = find_entries(f, f->H + r * n, -1.0, n);
         add_selected(out + r * width, width, f->x, f->entry, f->factor, count);
     }
-    regress_on_prediction(f, k, out);
+    regress_on_prediction(f, out);
 }
 
 /* H P. */

@@ -75,9 +75,7 @@ def _filter_step(
     innovation = residual_columns[used] - H[used] @ state_and_sensitivity
     slope = (model.linearisation_rows @ (state_and_sensitivity @ one_and_bias))[:2]
     gravity = slope[:, None] * (model.linearisation_rows[:2] @ state_and_sensitivity)
-    instrumented = innovation @ one_and_bias
-    instrumented -= _prediction_changes(const, model, epochs, k, state, one_and_bias)[used]
-    _regress_on_prediction(const, used, innovation, instrumented, innovation @ one_and_bias, slope, gravity)
+    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias, slope, gravity)
     row_innovation, HPHT = innovation @ one_and_bias, HP @ H_used.T
     noise_inflation = min(
         1.0
@@ -306,7 +304,6 @@ class _MovingTip(NamedTuple):
     expected_mps2: float
     by_acceleration: Floats
     by_force: float
-    by_earlier_roll: float
 
 
 def _moving_tip(
@@ -339,8 +336,7 @@ def _moving_tip(
     beyond = [_beyond_expected(const, model, epochs, k, tip, state) for tip in (side, 1 - side)]
     accel = accel + of_this * beyond[0] + of_other * beyond[1]
     lever_m = of_this * float(const.lever_m[side]) + of_other * float(const.lever_m[1 - side])
-    roll_change = float(epochs.earlier_roll_radps2[k]) - p_dot
-    instruments = accel + lever_m * roll_change
+    instruments = accel + lever_m * (float(epochs.earlier_roll_radps2[k]) - p_dot)
     inside_mps = -step_s * (of_this * epochs.rows[k, M_LEFT + side] + of_other * epochs.rows[k, M_LEFT + 1 - side])
     rate = rate + 0.5 * step_s * accel - inside_mps
     inside = K @ inside_mps
@@ -377,8 +373,7 @@ def _moving_tip(
         per_measured + per_other,
         expected,
         gain * np.array([per_measured, per_other]),
-        gain * (force + (raised + by_roll) * roll_change),
-        gain * (raised + by_roll) * roll_change,
+        gain * force,
     )
 
 
@@ -440,41 +435,20 @@ def _measurement_noise(
     return out
 
 
-def _prediction_changes(
-    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, state: Floats, one_and_bias: Floats
-) -> Floats:
-    """Change of each row's prediction (9,) by the root's roll acceleration of some epochs before in the state's place.
-
-    That of the state is noisy, and its error is in the rows as well.
-    """
-    out = np.zeros(ROWS)
-    roll_change = float(epochs.earlier_roll_radps2[k] - model.linearisation_rows[5] @ state)
-    out[Z_LEFT : Z_LEFT + 2] = const.lever_m * roll_change
-    tips = [_moving_tip(const, model, epochs, k, side, state, one_and_bias) for side in (0, 1)]
-    out[Y_LEFT : Y_LEFT + 2] = [tip.by_earlier_roll for tip in tips]
-    return out
-
-
 def _regress_on_prediction(
-    const: FilterConstants,
-    used: Ints,
-    innovation: Floats,
-    instrumented: Floats,
-    row_innovation: Floats,
-    slope: Floats,
-    gravity: Floats,
+    const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats, slope: Floats, gravity: Floats
 ) -> None:
     """Replace the measurement by its prediction in the sensitivities that contain it, in place.
 
-    ``instrumented`` are the rows' innovations less :func:`_prediction_changes`; ``gravity`` (2, 1 + c) are the columns
-    of the vertical rows by which the vertical force shows the tilt ``slope`` (2,), per unit of that force.
+    ``gravity`` (2, 1 + c) are the columns of the vertical rows by which the vertical force shows the tilt ``slope``
+    (2,), per unit of that force.
     """
     position = {row: at for at, row in enumerate(used.tolist())}
     rows, columns, sources = const.regressor_rows, const.regressor_columns, const.regressor_sources
     entries = zip(rows.tolist(), columns.tolist(), sources.tolist(), const.regressor_signs, strict=True)
     for row, column, source, sign in entries:
         if row in position and source in position:
-            innovation[position[row], column] += sign * instrumented[position[source]]
+            innovation[position[row], column] += sign * row_innovation[position[source]]
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
         at = position.get(Z_LEFT + side)
         if at is None:
