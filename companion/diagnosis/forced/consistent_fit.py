@@ -41,9 +41,8 @@ _FREE = 10  # chosen: turns after which the noise stays: two ratios, 0.6 sigma a
 _SETTLED = 0.02  # chosen: last change of every coefficient, sigmas
 _LEAST_FORCE_NOISE = 1e-3  # chosen: rho of a force without noise, which keeps the normal matrix regular
 _MOST_FORCE_NOISE = 0.5  # chosen, of the force: a false delay of 1.7 rows settled at 0.89 with a cubic 68 % too small
-_PER_WAVE = (
-    12.0  # chosen: samples of the smoothed motion a wave at the top of the band, where differences are 0.3 % off
-)
+# chosen: samples of the smoothed motion a wave at the top of the band, where differences are 0.3 % off
+_PER_WAVE = 12.0
 _LITTLE = 0.05  # chosen: of a row's least variance, that a force without noise may add to the smoothed motion
 _WARMER = 100.0  # chosen: variance of the force at which a turn begins, over that where the last one settled
 _COMPLETE = 1.01 * FINER  # derived: the smoothed force has up to four times the samples; 1.01 for rounding
