@@ -88,7 +88,8 @@ class CampaignRow:
         So a share of constants that are inside three sigma stands on as many wings as there are such rows. A reference
         has the wings of its world.
         """
-        return _MOST_FLIGHTS * _conditions().index((self.world, self.accident))
+        conditions = list(dict.fromkeys((row.world, row.accident) for row in rows()))
+        return _MOST_FLIGHTS * conditions.index((self.world, self.accident))
 
     def seed(self, number: int) -> int:
         """Seed of one flight, by airframe and number."""
@@ -109,12 +110,6 @@ class CampaignRow:
         plan = demo_plan(DURATION_S)
         blow = self.accident.blow_mps2
         return dataclasses.replace(plan, jolts=(Jolt(STRUCK_S, blow),)) if blow else plan
-
-
-def _conditions() -> list[tuple[str, Accident]]:
-    """Worlds, accidents in the ideal one, and worlds in which flights begin on the ground."""
-    aloft = [(world, Accident()) for world in WORLDS]
-    return aloft + [("ideal", accident) for accident in ACCIDENTS] + [(world, ON_GROUND) for world in _FROM_THE_GROUND]
 
 
 def rows(world: str = "", airframe: str = "", sensors: str = "") -> list[CampaignRow]:
