@@ -199,7 +199,7 @@ class KnownLines:
         before, self._unsure = self._unsure, [peak for peak in peaks if peak.variation > SURE_VARIATION]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
             leader, *peaks = peaks
-            if leader in self._unsure and not any(_is_near(leader, other) for other in before):
+            if leader.variation > SURE_VARIATION and not any(_is_near(leader, other) for other in before):
                 continue
             if is_harmonic_of_mode(leader, channels):
                 continue
