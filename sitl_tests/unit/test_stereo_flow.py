@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
-from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
-from companion.core.stereo.epipolar_posterior import Posterior, with_considered_states, with_flow
+from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate, flow_innovation
+from companion.core.stereo.epipolar_posterior import FlowConditions, Posterior, with_considered_states, with_flow
 from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
@@ -48,6 +48,7 @@ _BASELINE_M, _SPEED_MPS, _PASSED_S, _NOISE_RAD = 2.0, 22.0, 0.15, 1.25e-4
 _DOWN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # camera from body of a pair that looks down
 _EPIPOLAR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _MAY_BE_RAD, _MAY_BE_MPS = 2e-3, 0.3
+_CONDITIONS = FlowConditions(_PASSED_S, np.zeros((3, 3)), NO_BEND)
 
 
 def _view(
@@ -206,7 +207,7 @@ def test_a_wing_whose_lift_is_unknown_bends_no_toe_in_a_bank() -> None:
         view = _view(lower_m=0.1, bank=0.35, noise_rad=_NOISE_RAD)
         baseline = np.zeros(2)
         innovation = view.innovation(np.zeros(3), np.zeros(PAIR_TERMS), np.zeros(3), np.zeros(3), baseline)
-        answer = with_flow(before, innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+        answer = with_flow(before, innovation, _CONDITIONS)
         errors[sigma] = math.inf if answer is None else abs(answer.mean[YAW]) / math.sqrt(answer.covariance[YAW, YAW])
     assert errors[0.05] < 3.0 < errors[1e-3]
 
@@ -288,8 +289,8 @@ def test_a_stamp_that_may_be_wrong_leaves_the_toe_and_the_velocity_as_they_were(
     view = _view()
     between = dataclasses.replace(view.between, moved_m=0.9 * view.between.moved_m)
     innovation = dataclasses.replace(view, between=between).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
-    assert with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND, 1e-4) is None
-    answer = with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND, 1e-2)
+    assert with_flow(_before(), innovation, _CONDITIONS._replace(stamp_sigma_s=1e-4)) is None
+    answer = with_flow(_before(), innovation, _CONDITIONS._replace(stamp_sigma_s=1e-2))
     assert answer is not None
     off = np.abs(answer.mean) / np.sqrt(np.maximum(np.diag(answer.covariance), 1e-20))
     assert off[YAW] < 1.5
@@ -320,9 +321,7 @@ def test_the_toe_is_found_within_what_the_velocity_leaves() -> None:
         rng = np.random.default_rng(seed)
         toe_rad, faster_mps = _MAY_BE_RAD * rng.standard_normal(), _MAY_BE_MPS * rng.standard_normal()
         view = _view(toe_rad, faster_mps, _NOISE_RAD, seed)
-        answer = with_flow(
-            _before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros((3, 3)), NO_BEND
-        )
+        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _CONDITIONS)
         assert answer is not None
         stated = float(np.sqrt(answer.covariance[YAW, YAW]))
         errors.append((answer.mean[YAW] - toe_rad) / stated)
@@ -334,12 +333,7 @@ def test_the_toe_is_found_within_what_the_velocity_leaves() -> None:
 def test_a_velocity_far_from_the_truth_is_not_believed() -> None:
     """3 m/s too slow would be 4 mrad of toe, which a toe known to 0.1 mrad contradicts."""
     view = _view(faster_mps=3.0, noise_rad=_NOISE_RAD)
-    assert (
-        with_flow(
-            _before(1e-4), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros((3, 3)), NO_BEND
-        )
-        is None
-    )
+    assert with_flow(_before(1e-4), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _CONDITIONS) is None
 
 
 @pytest.mark.parametrize("yaw_sigma_rad", [5e-4, 1e-3])
@@ -349,9 +343,7 @@ def test_a_path_that_is_too_long_shows_in_the_velocity_and_is_doubted_or_refused
         with_flow(
             _before(yaw_sigma_rad),
             _view(faster_mps=faster_mps, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS)),
-            _PASSED_S,
-            np.zeros((3, 3)),
-            NO_BEND,
+            _CONDITIONS,
         )
         for faster_mps in (1.2, 2.0)
     )
@@ -368,7 +360,7 @@ def test_a_doubted_flow_leaves_a_covariance_that_is_positive() -> None:
     covariance[YAW, prism] = covariance[prism, YAW] = -0.99 * np.sqrt(covariance[YAW, YAW] * covariance[prism, prism])
     before = dataclasses.replace(before, covariance=covariance)
     innovation = _view(faster_mps=1.4, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
-    answer = with_flow(before, innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+    answer = with_flow(before, innovation, _CONDITIONS)
     assert answer is not None
     after = with_considered_states(answer, before.mean, before.covariance, CONSIDERED_IN_FLOW_STATES).covariance
     uncertain = np.flatnonzero(np.diag(after) > 0.0)
@@ -382,7 +374,7 @@ def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
     astray = view.earlier.copy()
     astray[::10, :2] += 0.004
     innovation = dataclasses.replace(view, earlier=astray).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
-    answer = with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+    answer = with_flow(_before(), innovation, _CONDITIONS)
     assert answer is not None
     assert abs(answer.mean[YAW] - 1e-3) < 2.0 * np.sqrt(answer.covariance[YAW, YAW])
 
@@ -395,9 +387,7 @@ def test_wrong_furrows_bias_neither_toe_nor_velocity() -> None:
         wrong, right = rng.random(len(view.sigma_rad)) < 0.25, view.rays.right.copy()
         right[wrong, 1] += rng.normal(0.0, 30.0 * _NOISE_RAD, int(wrong.sum()))
         view = dataclasses.replace(view, rays=dataclasses.replace(view.rays, right=right))
-        answer = with_flow(
-            _before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros((3, 3)), NO_BEND
-        )
+        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _CONDITIONS)
         assert answer is not None
         sigma = np.sqrt(np.diag(answer.covariance))
         over_sigma.append([answer.mean[k] / sigma[k] for k in (YAW, VELOCITY.start, VELOCITY.start + 1)])
@@ -424,7 +414,7 @@ def _bias_over_sigma(seed: int, astray_ratio: float) -> float:
     over_sigma = []
     for way in (1.0, -1.0):
         innovation = _noisy(exact, way * right, way * earlier)
-        answer = with_flow(_before(), innovation, _PASSED_S, np.zeros((3, 3)), NO_BEND)
+        answer = with_flow(_before(), innovation, _CONDITIONS)
         assert answer is not None
         over_sigma.append(answer.mean[YAW] / math.sqrt(answer.covariance[YAW, YAW]))
     return 0.5 * math.fsum(over_sigma)
@@ -494,17 +484,12 @@ def test_a_row_that_is_not_finite_is_left_out_and_too_few_rows_tell_nothing(fiel
     innovation = _view(1e-3, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
     values = getattr(innovation, field).copy()
     values[:6] = np.nan
-    answer = with_flow(
-        _before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, np.zeros((3, 3)), NO_BEND
-    )
+    answer = with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _CONDITIONS)
     assert answer is not None
     assert np.isfinite(answer.mean).all()
     assert answer.flow == (len(innovation.sigma_rad) - 6) // 2
     values[20:] = np.nan
-    assert (
-        with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, np.zeros((3, 3)), NO_BEND)
-        is None
-    )
+    assert with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _CONDITIONS) is None
 
 
 def _state(k: int, velocity: tuple[float, float, float] | None) -> VehicleState:
@@ -592,7 +577,23 @@ def test_the_flow_of_a_steady_flight_tells_more_than_that_of_a_roll() -> None:
     sigma_rad = []
     for rolled_rad in (0.0, 0.03):
         turned = turn_covariance(np.array([rolled_rad, rolled_rad, 0.0]), _PASSED_S, gyro)
-        answer = with_flow(before, innovation, _PASSED_S, turned, NO_BEND)
+        answer = with_flow(before, innovation, _CONDITIONS._replace(turn_covariance=turned))
         assert answer is not None
         sigma_rad.append(float(np.sqrt(answer.covariance[YAW, YAW])))
     assert sigma_rad[0] < 0.6 * sigma_rad[1]
+
+
+@pytest.mark.parametrize("rolled_rad", [-0.08, 0.05, 0.1])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_tip_that_turned_far_more_than_tracked_tells_no_false_toe(rolled_rad: float, axis: int) -> None:
+    """Half the square of a turn shortens all slopes, whichever way it goes: linear about none, pairs add that up."""
+    exact = _view()
+    unit = _EPIPOLAR.T @ np.eye(3)[axis]
+    tracked = log_rotation(exp_rotation(rolled_rad * unit) @ exp_rotation(exact.between.turn_rad))
+    between = dataclasses.replace(exact.between, turn_rad=tracked, turn_covariance=0.1**2 * np.outer(unit, unit))
+    view = dataclasses.replace(exact, between=between)
+    before, conditions = _before(), _CONDITIONS._replace(turn_covariance=view.turn_covariance)
+    answer = with_flow(before, flow_innovation(before, view, conditions), conditions)
+    assert answer is not None
+    # a twentieth of a pair's sigma, as noise pulls at no state by more
+    assert abs(answer.mean[YAW]) < 0.05 * math.sqrt(answer.covariance[YAW, YAW])

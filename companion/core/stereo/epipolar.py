@@ -13,10 +13,12 @@ import numpy as np
 from companion.core.stereo.consistency_gate import KNOCK_RAD, MatchTest, MatchVerdict
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame
 from companion.core.stereo.epipolar_posterior import (
+    FlowConditions,
     Posterior,
     innovation_of,
     joint_prior,
     maximum_a_posteriori,
+    pair_turn_rad,
     with_bound_innovation,
     with_considered_states,
     with_flow,
@@ -44,7 +46,7 @@ from companion.core.stereo.epipolar_states import (
     with_lens_rows,
 )
 from companion.core.stereo.exposure import rest_exposures
-from companion.core.stereo.flow import FlowView
+from companion.core.stereo.flow import FlowInnovation, FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import LensAxes, lens_ratio
 from companion.core.stereo.rotation import without_negative_eigenvalues
@@ -62,6 +64,10 @@ _MAX_SHIFT_RAD2 = 0.01
 # in the test of an innovation: the tracker's fast error is neither white nor quite Gaussian (choice)
 _FAST_VARIANCE_FACTOR = 3.0
 _CONTRADICTION_NS = 2_000_000_000  # within so long the flow finds a changed toe again (choice)
+# sigma of a turn above which the flow is linearised about it: half the square of twice as much shortens all slopes by
+# 2e-6, a thousandth of a path's noise (choice)
+_LINEAR_TURN_RAD = 1e-3
+_TURN_ROUNDS = 2  # a turn of 0.1 rad is right to 1e-6 after them (choice)
 _VELOCITY_TIME_S = 10.0  # correlation time of a navigation filter's velocity error (choice)
 
 
@@ -234,17 +240,12 @@ class EpipolarFilter:
         used, the keystone may be wrong, which matches cannot tell from toe: each such pair doubles all variances, up to
         :data:`_MOST_DOUBT`. A flow that contradicts even then stays a contradiction, and is not used.
         """
-        mean, passed_s = answer.mean, flow.between.passed_s
-        innovation = flow.without(answer.outlier).innovation(
-            rotation_rows(bend) @ mean,
-            mean[LENS],
-            mean[VELOCITY],
-            passed_s * mean[TURN_RATE],
-            mean[BASELINE] + mean[SHIFT],
-        )
+        between = flow.between
+        conditions = FlowConditions(between.passed_s, flow.turn_covariance, bend, between.stamp_sigma_s)
+        innovation = flow_innovation(answer, flow, conditions)
         if not innovation.is_enough:
             return answer, False
-        updated = with_flow(answer, innovation, passed_s, flow.turn_covariance, bend, flow.between.stamp_sigma_s)
+        updated = with_flow(answer, innovation, conditions)
         if updated is None:
             used_ns = self._flow_used_ns
             if used_ns is not None:
@@ -322,6 +323,24 @@ class EpipolarFilter:
             return Reject.TIME_BACKWARDS
         arrays = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
         return None if all(bool(np.all(np.isfinite(array))) for array in arrays) else Reject.NOT_FINITE
+
+
+def flow_innovation(answer: Posterior, flow: FlowView, conditions: FlowConditions) -> FlowInnovation:
+    """Innovation of a flow, linear about the posterior and, where that may be large, about the pair's own turn."""
+    mean = answer.mean
+    sound = flow.without(answer.outlier)
+    states = (
+        rotation_rows(conditions.bend) @ mean,
+        mean[LENS],
+        mean[VELOCITY],
+        conditions.passed_s * mean[TURN_RATE],
+        mean[BASELINE] + mean[SHIFT],
+    )
+    innovation = sound.innovation(*states)
+    may_be_large = float(np.trace(conditions.turn_covariance)) > _LINEAR_TURN_RAD**2
+    for _ in range(_TURN_ROUNDS if may_be_large and innovation.is_enough else 0):
+        innovation = sound.innovation(*states, pair_turn_rad(answer, innovation, conditions))
+    return innovation
 
 
 def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict, flow_contradicts: bool) -> EpipolarUpdate:

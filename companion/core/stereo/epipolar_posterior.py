@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,8 @@ _FLOW_ROUNDS = 3  # reweightings of the flow, which is nearly linear (choice)
 # sigma of the left camera's turn between two exposures, rad per axis, that neither rates nor tracked bend show: twist,
 # rates between their samples (choice: a tenth of a pixel); errors of gyro and tracked bend come with each pair
 _FLOW_TURN_RAD = 1e-4
+PAIR_TURN = slice(ALL_STATES, ALL_STATES + 3)
+"""States of a flow's solution behind those of the filter: the pair's own error of the left camera's turn."""
 # residual of an outlier (choice): the flow loses one in 185 of the sound features
 _OUTLIER_SIGMAS = 3.0
 _FLOW_SIGMAS = 4.0  # a flow that moves yaw or velocity by more contradicts the states (choice)
@@ -158,26 +161,11 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats, consi
     return dataclasses.replace(answer, mean=after, covariance=covariance)
 
 
-def with_flow(
-    answer: Posterior,
-    flow: FlowInnovation,
-    passed_s: float,
-    turn_covariance: Floats,
-    bend: BendBelief,
-    stamp_sigma_s: float = 0.0,
-) -> Posterior | None:
-    """The posterior updated by the flow since an earlier pair; None if that contradicts, or has too few features.
+class FlowConditions(NamedTuple):
+    """Conditions of a flow.
 
-    The flow's rows are linear about the posterior, with Student's t as in :func:`maximum_a_posteriori`. Besides the
-    constant rate error, this pair has errors of its own, which are marginalised: one of the turn, with sigma
-    :data:`_FLOW_TURN_RAD` per axis and ``turn_covariance``, and one of each stamp.
-
-    Parameters
+    Attributes
     ----------
-    answer : Posterior
-        Posterior given the pair's matches.
-    flow : FlowInnovation
-        Flow observed less predicted by the mean of that posterior.
     passed_s : float
         Time between the exposures, s.
     turn_covariance : (3, 3) float64
@@ -187,21 +175,69 @@ def with_flow(
     stamp_sigma_s : float
         One-sigma of each exposure's stamp, s.
     """
+
+    passed_s: float
+    turn_covariance: Floats
+    bend: BendBelief
+    stamp_sigma_s: float = 0.0
+
+
+def with_flow(answer: Posterior, flow: FlowInnovation, conditions: FlowConditions) -> Posterior | None:
+    """The posterior updated by the flow since an earlier pair; None if that contradicts, or has too few features.
+
+    The flow's rows are linear about the posterior, with Student's t as in :func:`maximum_a_posteriori`. Besides the
+    constant rate error, this pair has errors of its own (:data:`PAIR_TURN`, stamps), which are marginalised.
+
+    Parameters
+    ----------
+    answer : Posterior
+        Posterior given the pair's matches.
+    flow : FlowInnovation
+        Flow observed less predicted by the mean of that posterior.
+    conditions : FlowConditions
+        Time between the exposures, and what is believed of the pair's own errors.
+    """
     if not flow.is_enough:
         return None
+    change, covariance = _solved_flow(answer, flow, conditions)
+    tested = np.vstack([rotation_rows(conditions.bend)[YAW], np.eye(ALL_STATES)[VELOCITY]])
+    change, covariance = change[:ALL_STATES], covariance[:ALL_STATES, :ALL_STATES]
+    moved = (tested @ change) ** 2
+    removed = np.einsum("ij,jk,ik->i", tested, answer.covariance - covariance, tested)
+    if not np.isfinite(change).all() or (moved > _FLOW_SIGMAS**2 * removed).any():
+        return None
+    beyond = 1.0 - _FLOW_DOUBT_SIGMAS**2 * removed / np.maximum(moved, _VARIANCE_FLOOR_RAD2)
+    doubted = change.copy()
+    doubted[CONSIDERED_IN_FLOW_STATES] = 0.0  # they are put back by the caller, with their covariance
+    covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(doubted, doubted)
+    return dataclasses.replace(
+        answer, mean=answer.mean + change, covariance=covariance, flow=int(flow.finite.sum()) // 2
+    )
+
+
+def pair_turn_rad(answer: Posterior, flow: FlowInnovation, conditions: FlowConditions) -> Floats:
+    """Error (3,) of the left camera's turn in this pair, epipolar axes, rad, by the arguments of :func:`with_flow`."""
+    return _solved_flow(answer, flow, conditions)[0][PAIR_TURN]
+
+
+def _solved_flow(answer: Posterior, flow: FlowInnovation, conditions: FlowConditions) -> tuple[Floats, Floats]:
+    """Change by the flow, and covariance after it, of all states and the pair's errors of turn and stamps (n,).
+
+    The turn's has sigma :data:`_FLOW_TURN_RAD` per axis, and ``turn_covariance`` besides.
+    """
+    passed_s, turn_covariance, bend, stamp_sigma_s = conditions
     finite, add_up = flow.finite, rotation_rows(bend)
-    turn = slice(ALL_STATES, ALL_STATES + 3)
-    stamps = slice(turn.stop, turn.stop + 2)
+    stamps = slice(PAIR_TURN.stop, PAIR_TURN.stop + 2)
     design = np.zeros((len(finite), stamps.stop))
     design[:, :ALL_STATES] = flow.rotation @ add_up
     design[:, LENS], design[:, BASELINE], design[:, SHIFT] = flow.lens, flow.baseline, flow.baseline
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
-    design[:, turn], design[:, stamps] = flow.turn, flow.stamps
+    design[:, PAIR_TURN], design[:, stamps] = flow.turn, flow.stamps
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
     normalised = flow.residual_rad[finite] / flow.sigma_rad[finite]
     prior = np.zeros((stamps.stop, stamps.stop))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
-    prior[turn, turn] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
+    prior[PAIR_TURN, PAIR_TURN] = _FLOW_TURN_RAD**2 * np.eye(3) + turn_covariance
     prior[stamps, stamps] = stamp_sigma_s**2 * np.eye(2)
     root = _square_root(prior)
     whitened_design, identity = design @ root, np.eye(len(root))
@@ -217,17 +253,7 @@ def with_flow(
         information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
         covariance = root @ np.linalg.solve(information, root.T)
         change = covariance @ (design.T @ (weight * normalised))
-    states, tested = slice(0, ALL_STATES), np.vstack([add_up[YAW], np.eye(ALL_STATES)[VELOCITY]])
-    change, covariance = change[states], covariance[states, states]
-    moved = (tested @ change) ** 2
-    removed = np.einsum("ij,jk,ik->i", tested, answer.covariance - covariance, tested)
-    if not np.isfinite(change).all() or (moved > _FLOW_SIGMAS**2 * removed).any():
-        return None
-    beyond = 1.0 - _FLOW_DOUBT_SIGMAS**2 * removed / np.maximum(moved, _VARIANCE_FLOOR_RAD2)
-    doubted = change.copy()
-    doubted[CONSIDERED_IN_FLOW_STATES] = 0.0  # they are put back by the caller, with their covariance
-    covariance = covariance + max(float(beyond.max()), 0.0) * np.outer(doubted, doubted)
-    return dataclasses.replace(answer, mean=answer.mean + change, covariance=covariance, flow=int(finite.sum()) // 2)
+    return change, covariance
 
 
 def _inverse(matrix: Floats) -> Floats:

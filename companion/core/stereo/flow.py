@@ -202,6 +202,7 @@ class FlowView:
         velocity_mps: Floats = _NONE,
         turn_rad: Floats = _NONE,
         baseline: Floats = _STRAIGHT,
+        pair_turn_rad: Floats = _NONE,
     ) -> FlowInnovation:
         """Places in the earlier image, observed less predicted, and the derivatives of the prediction.
 
@@ -215,13 +216,15 @@ class FlowView:
             Estimated errors of velocity and turn, epipolar axes: true less stated by the autopilot.
         baseline : (2,) float64
             Estimated error of the baseline's direction, y and z, rad.
+        pair_turn_rad : (3,) float64
+            The pair's own error of the turn, beyond ``turn_rad``: rows are linear about it, residuals those without it.
         """
         inverse_pm, sigma_pm = self._inverse_depths(self.rays, [(rotation_rad, lens, baseline)])
         left, per_term = left_terms(lens)
         quarter = quarter_turns(self.epipolar_from_body @ self.later_pose.camera_from_body.T)
         bent_earlier, bent_later = left_fields(self.earlier, quarter), left_fields(self.later, quarter)
         earlier, later = (self.earlier - bent_earlier @ left)[:, :2], self.later - bent_later @ left
-        moved = self._moved(rotation_rad, velocity_mps, turn_rad)
+        moved = self._moved(rotation_rad, velocity_mps, turn_rad + pair_turn_rad)
         in_body = later @ moved.body_from_later.T
         at_infinity = in_body @ moved.earlier_from_body.T
 
@@ -240,6 +243,7 @@ class FlowView:
         per_depth = per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :]
         per_depth[:, :, 3 : 3 + PAIR_TERMS] += per_left @ per_term
         per_motion = self._per_motion(moved, in_body, project, adjusted_pm)
+        residual = residual + per_motion[:, :, :3] @ pair_turn_rad
         columns = np.concatenate([per_depth, per_motion, per_motion @ self._motion_per_stamp()], axis=2)
 
         # axes of each feature: along its image path, where depth noise adds to the variance, and across it
