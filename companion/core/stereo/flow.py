@@ -29,7 +29,7 @@ from companion.core.stereo.lens_residual import (
     quarter_turns,
     straightened,
 )
-from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.rotation import exp_rotation, skew
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Bools, Floats, Ints
 
@@ -269,10 +269,10 @@ class FlowView:
 
     def _per_motion(self, moved: _LeftCamera, in_body: Floats, project: Floats, inverse_pm: Floats) -> Floats:
         """Change (m, 2, 6) of the predicted places by the body's turn and by its velocity, epipolar axes."""
-        per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ moved.earlier_from_body.T
+        per_turn = -moved.earlier_from_body @ skew(in_body) @ self.epipolar_from_body.T
         path_per_velocity_s = self.between.passed_s * (moved.earlier_from_body @ self.epipolar_from_body.T)
         per_velocity = project @ path_per_velocity_s * inverse_pm[:, np.newaxis, np.newaxis]
-        return np.concatenate([project @ per_turn.transpose(0, 2, 1), per_velocity], axis=2)
+        return np.concatenate([project @ per_turn, per_velocity], axis=2)
 
     def _motion_per_stamp(self) -> Floats:
         """Errors of turn and velocity (6, 2), epipolar axes, per second by which each exposure was later than stamped.

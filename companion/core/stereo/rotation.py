@@ -50,11 +50,16 @@ def exp_rotation(vector_rad: Floats) -> Floats:
     (..., 3, 3) float64
     """
     v = np.asarray(vector_rad, dtype=np.float64)
-    t = np.sqrt(np.sum(v * v, axis=-1))[..., np.newaxis, np.newaxis]
-    t = np.maximum(t, _LEAST_ANGLE_RAD)
-    first, second = np.sin(t) / t, 2.0 * (np.sin(0.5 * t) / t) ** 2
-    outer = v[..., :, np.newaxis] * v[..., np.newaxis, :]
-    rotation: Floats = np.cos(t) * np.eye(3) + first * skew(v) + second * outer  # K^2 = v v^T - t^2 I
+    # element by element: a single vector as floats takes a fifth of the time that arrays of one element do
+    x, y, z = v.tolist() if v.ndim == 1 else (v[..., 0], v[..., 1], v[..., 2])
+    t = np.maximum(np.sqrt(x * x + y * y + z * z), _LEAST_ANGLE_RAD)
+    cosine, first, second = np.cos(t), np.sin(t) / t, 2.0 * (np.sin(0.5 * t) / t) ** 2  # K^2 = v v^T - t^2 I
+    rotation = np.empty((*v.shape, 3))
+    rotation[..., 0, 0], rotation[..., 1, 1] = cosine + second * (x * x), cosine + second * (y * y)
+    rotation[..., 2, 2] = cosine + second * (z * z)
+    rotation[..., 0, 1], rotation[..., 1, 0] = second * (x * y) - first * z, second * (x * y) + first * z
+    rotation[..., 0, 2], rotation[..., 2, 0] = second * (x * z) + first * y, second * (x * z) - first * y
+    rotation[..., 1, 2], rotation[..., 2, 1] = second * (y * z) - first * x, second * (y * z) + first * x
     return rotation
 
 
