@@ -85,40 +85,23 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     even_s = raw.t_s[0] + np.arange(len(raw.t_s)) / rate_hz
     channels = {name: _clean(np.interp(even_s, raw.t_s, values)) for name, values in raw.responses.items()}
     lead = next(iter(channels.values()))
-    centre_hz, peak, _ = _strongest(lead, rate_hz, band_hz)
-    above_hz, other, usual = _strongest(lead, rate_hz, (band_hz[1], min(_ABOVE * band_hz[1], 0.5 * rate_hz)))
-    if other > max(peak, _CLEAR * usual) and _cycles(lead, rate_hz, above_hz):
-        raise RecordingError(
-            f"{raw.name}: its limit cycle, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
-            f"{band_hz[1]:g} Hz: widen the band"
-        )
-    if not centre_hz:
-        raise RecordingError(f"{raw.name}: too short to tell a frequency from {band_hz[0]:g} to {band_hz[1]:g} Hz")
+    centre_hz = _leading_hz(raw.name, lead, rate_hz, band_hz)
     period = max(round(rate_hz / centre_hz), 2)
     at = np.arange(2 * period, len(lead) - 2 * period, period)
     if len(at) < 3 * _WINDOW:
         raise RecordingError(f"{raw.name}: shorter than {3 * _WINDOW + 4} periods of {centre_hz:.2f} Hz")
     envelopes = {name: _envelope(values, centre_hz / rate_hz, period)[at] for name, values in channels.items()}
     z, t_s = next(iter(envelopes.values())), even_s[at] - even_s[0]
-    rows, amplitudes = [], []
-    for first in range(0, len(at) - _WINDOW, _WINDOW):
-        window = slice(first, first + _WINDOW + 1)
-        since_s = t_s[window] - t_s[window].mean()
-        log_a, phase = np.log(np.maximum(np.abs(z[window]), 1e-300)), np.unwrap(np.angle(z[window]))
-        growth, level = np.polyfit(since_s, log_a, 1)
-        slope_radps, middle_rad = np.polyfit(since_s, phase, 1)
-        residual = log_a - level + 1j * (phase - middle_rad) - (growth + 1j * slope_radps) * since_s
-        offset_hz = slope_radps / (2.0 * np.pi)
-        rows.append((t_s[window].mean(), centre_hz + offset_hz, growth, float(np.std(residual))))
-        passed = max(float(np.sinc(offset_hz * period / rate_hz)) ** 2, _LEAST_PASSED)
-        amplitudes.append([np.exp(np.mean(np.log(np.abs(e[window]) + 1e-300))) / passed for e in envelopes.values()])
-    table, levels = np.array(rows), np.array(amplitudes)
-    steady = _steady(levels[:, 0], _LEAST_CYCLES // _WINDOW)
-    floor = _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
-    blown = table[:, 3] > _UNEVEN
-    near = np.convolve(blown, np.ones(3))[1:-1] > 0.5  # averages reach one window further
-    keep = steady | (~near & (levels[:, 0] > floor))
-    cycling = steady & (levels[:, 0] > floor)
+    windows = [slice(first, first + _WINDOW + 1) for first in range(0, len(at) - _WINDOW, _WINDOW)]
+    middle_s, offset_hz, growth_radps, uneven = np.array([_slopes(t_s[window], z[window]) for window in windows]).T
+    # the average over two periods takes away from what is beside its frequency
+    passed = np.maximum(np.sinc(offset_hz * period / rate_hz) ** 2, _LEAST_PASSED)
+    levels = {name: _levels(envelope, windows) / passed for name, envelope in envelopes.items()}
+    level = next(iter(levels.values()))
+    steady = _steady(level, _LEAST_CYCLES // _WINDOW)
+    loud = level > _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
+    near = np.convolve(uneven > _UNEVEN, np.ones(3))[1:-1] > 0.5  # averages reach one window further
+    keep, cycling = steady | (~near & loud), steady & loud
     middles = _WINDOW * np.flatnonzero(cycling) + _WINDOW // 2
     driven_by = []
     for name, values in raw.forces.items():
@@ -129,14 +112,43 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     return VibrationTrack(
         raw.name,
         raw.airspeed_mps,
-        table[keep, 0],
-        table[keep, 1],
-        table[keep, 2],
-        {name: levels[keep, i] for i, name in enumerate(envelopes)},
+        middle_s[keep],
+        centre_hz + offset_hz[keep],
+        growth_radps[keep],
+        {name: values[keep] for name, values in levels.items()},
         cycling[keep],
         tuple(raw.forces),
         tuple(driven_by),
     )
+
+
+def _leading_hz(name: str, lead: Floats, rate_hz: float, band_hz: tuple[float, float]) -> float:
+    """Strongest frequency of a band in the leading response of a recording."""
+    centre_hz, peak, _ = _strongest(lead, rate_hz, band_hz)
+    above_hz, other, usual = _strongest(lead, rate_hz, (band_hz[1], min(_ABOVE * band_hz[1], 0.5 * rate_hz)))
+    if other > max(peak, _CLEAR * usual) and _cycles(lead, rate_hz, above_hz):
+        raise RecordingError(
+            f"{name}: its limit cycle, at {above_hz:.2f} Hz, lies above band_hz, which ends at "
+            f"{band_hz[1]:g} Hz: widen the band"
+        )
+    if not centre_hz:
+        raise RecordingError(f"{name}: too short to tell a frequency from {band_hz[0]:g} to {band_hz[1]:g} Hz")
+    return centre_hz
+
+
+def _slopes(t_s: Floats, z: Envelope) -> tuple[float, float, float, float]:
+    """Middle of a window in s, its phase's slope in Hz, its growth in rad/s, and the rms of ln z about both lines."""
+    since_s = t_s - t_s.mean()
+    log_a, phase = np.log(np.maximum(np.abs(z), 1e-300)), np.unwrap(np.angle(z))
+    growth, level = np.polyfit(since_s, log_a, 1)
+    slope_radps, middle_rad = np.polyfit(since_s, phase, 1)
+    residual = log_a - level + 1j * (phase - middle_rad) - (growth + 1j * slope_radps) * since_s
+    return float(t_s.mean()), float(slope_radps / (2.0 * np.pi)), float(growth), float(np.std(residual))
+
+
+def _levels(envelope: Envelope, windows: list[slice]) -> Floats:
+    """Geometric mean of an envelope's amplitude in each window, (w,)."""
+    return np.array([np.exp(np.mean(np.log(np.abs(envelope[window]) + 1e-300))) for window in windows])
 
 
 def _in_step(line: Envelope, vibration: Envelope, floor: float) -> bool:
