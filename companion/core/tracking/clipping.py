@@ -1,4 +1,4 @@
-"""Clipped samples of a sensor that vibrates beyond its range: held at the limit, and the lost gain restored."""
+"""Clipped samples of a sensor that vibrates beyond its range: moved outward by what they exceed it on average."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ _MEMORY_S = 4.0  # chosen: the share of a vibration that swells and fades within
 MOST_SHARE = 0.2
 """Clipped samples of an axis, as a share of all, above which nothing rests on the rest."""
 _OFTEN = 0.005  # derived: what so many leave is noise of 1e5 times a quiet sensor's density (noise_search.next_leap)
+_CLEAR = 0.1  # chosen: difference over sum of what is clipped below and above, from which it tells a mean
+_MOST_EXCESS = 0.5  # chosen, of the range: a Gaussian of which a fifth is clipped exceeds it by 0.4 of it
 _LONGEST_RUN_S = 0.004  # derived: of a vibration of 31 Hz a quarter is clipped so; a longer peak is a blow's
 
 
@@ -39,8 +41,10 @@ class Clipping:
     integral from ``L - m`` to ``L + m`` of the share ``Q`` of ``v`` that lies beyond. Q is counted at both ends, as
     what is clipped above and below, and its square root taken as linear between them: the loss is m times
     ``2/3 (Q+ + sqrt(Q+ Q-) + Q-)``. That is exact for a sine that just reaches the limit and a small mean; beside a
-    Gaussian and a range of 16 g a mean of 1 g is restored to 0.05 %, one of 2 g to 0.2 %. What is left is divided by
-    the share that remains.
+    Gaussian and a range of 16 g a mean of 1 g is restored to 0.05 %, one of 2 g to 0.2 %. The clipped samples took the
+    loss, so they get it back: each is moved outward by the loss over ``Q- - Q+``. A vibration that swells and fades
+    within the memory of Q so leaves no slow force, as a common gain would. Where the shares are alike, there is no mean
+    to tell the loss by, and all samples are divided by the share that remains.
 
     Attributes
     ----------
@@ -53,6 +57,7 @@ class Clipping:
     def __init__(self, range_of: Floats, period_s: float) -> None:
         """Start with the range of each channel (6,) and the time between samples."""
         self.clipped_ratio: Floats = np.zeros((2, len(range_of)))
+        self._held_mean: Floats = np.zeros(len(range_of))  # of the last seconds' samples, clipped ones at the limit
         self.found_range = FoundRange(range_of, period_s)
         self._period_s = period_s
         self._runs = 0.0  # of the last half minute
@@ -92,7 +97,7 @@ class Clipping:
         clipped = np.asarray(full.any(axis=(0, 2)))
         if len(values) and (self.active or clipped.any()):
             span_s = len(values) * self._period_s
-            self.clipped_ratio += min(span_s / _MEMORY_S, 1.0) * (full.mean(axis=1) - self.clipped_ratio)
+            self._remember(values, full, min(span_s / _MEMORY_S, 1.0))
             fresh = np.count_nonzero(clipped & np.diff(clipped, prepend=self._run > 0))
             self._runs = max(1.0 - span_s / _RUNS_MEMORY_S, 0.0) * self._runs + fresh
             if self._runs < _NO_RUN:
@@ -103,9 +108,24 @@ class Clipping:
             self._run = int(run[-1])
         return clipped, clipped & ((run * self._period_s > _LONGEST_RUN_S) | (self._runs < _FEWEST_RUNS))
 
-    def restore_gain(self, values: Floats) -> Floats:
-        """Values (n, 6) over the gain that clipping leaves, by channel."""
+    def _remember(self, values: Floats, full: Bools, weight: float) -> None:
+        """Add the next values (n, 6), clipped (2, n, 6) or not, to the shares and the mean with this weight."""
+        finite = np.isfinite(values)
+        mean = np.where(finite, values, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
+        self._held_mean += (weight if self.active else 1.0) * (mean - self._held_mean)
+        self.clipped_ratio += weight * (full.mean(axis=1) - self.clipped_ratio)
+
+    def restore_mean(self, values: Floats) -> Floats:
+        """Values (n, 6) with the mean that clipping took away, by channel."""
         if not self.active:
             return values
-        lost: Floats = 2.0 / 3.0 * (self.clipped_ratio.sum(axis=0) + np.sqrt(self.clipped_ratio.prod(axis=0)))
-        return np.asarray(values / (1.0 - np.minimum(lost, MOST_SHARE)))
+        above, below = self.clipped_ratio
+        lost = np.minimum(2.0 / 3.0 * (above + np.sqrt(above * below) + below), MOST_SHARE)
+        range_of = self.found_range.range_of
+        beyond = np.divide(lost * self._held_mean / (1.0 - lost), above - below, out=np.zeros(6), where=above != below)
+        tells = (np.abs(below - above) > _CLEAR * (below + above)) & (beyond > 0.0)
+        outward = np.minimum(np.where(tells, beyond, 0.0), _MOST_EXCESS * range_of)
+        full = at_limit(values, range_of)
+        return np.asarray(
+            (values + (full[0].astype(np.float64) - full[1]) * outward) / np.where(tells, 1.0, 1.0 - lost)
+        )

@@ -213,7 +213,7 @@ class SampleBuffer:
             self.saturated_ns = max(int(t[lost].max()), self.saturated_ns or 0)
         usable = ~(late | infinite | lost)
         if usable.any():
-            self._take(t[usable], self.clipping.restore_gain(values[usable]))
+            self._take(t[usable], self.clipping.restore_mean(values[usable]))
         causes = (
             (Reject.NOT_FINITE, infinite),
             (Reject.SATURATED, clipped),
