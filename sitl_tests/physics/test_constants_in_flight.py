@@ -100,14 +100,21 @@ def test_a_lightly_damped_second_mode_in_strong_gusts_is_no_propeller() -> None:
     assert distrusted == 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("number", "sensors"), [pytest.param(A_FEW_CLIPPED, "vertical", marks=pytest.mark.long), (MANY_CLIPPED, "6-axis")]
+    ("number", "sensors"),
+    [
+        pytest.param(A_FEW_CLIPPED, "vertical", marks=pytest.mark.long),
+        (MANY_CLIPPED, "6-axis"),
+        pytest.param(MANY_CLIPPED, "vertical", marks=pytest.mark.long),
+    ],
 )
 def test_what_clipped_accelerometers_teach_is_within_its_sigmas_and_no_range_is_wrong(
     number: int, sensors: str
 ) -> None:
-    """Four sigmas; without the clipped peaks the damping was 8 to 15 off, a misalignment 25, and seven ranges wrong."""
+    """Four sigmas; without the clipped peaks the damping was 8 to 15 off, a misalignment 25, and seven ranges wrong.
+
+    With the slow force that clipping leaves in the spectral fit the damping was 6.5 off.
+    """
     flown = fly(CampaignRow("rough", "nadir-2m", sensors), number)
     judged = flown["constants"]
     names = [name for name in judged if name.startswith(("frequency", "damping")) or name.endswith("mz")]
