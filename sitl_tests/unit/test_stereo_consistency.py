@@ -14,7 +14,7 @@ from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, Deflection, Notice, Reject
+from companion.records import CorrectedRange, Deflection, Notice, Reject, VehicleState
 from sitl_tests.unit.stereo_cases import bend, ground_below, match_set, nadir, raw_pixels
 
 MS = 1_000_000
@@ -53,6 +53,7 @@ class Strike:
     match_px: float = MATCH_PX
     matches: int = MATCHES
     stamps: Reject | None = None  # what the learned latency says of the stamps
+    roll_rad: float | None = None  # of the aircraft, as its autopilot tells it
 
 
 def flown(
@@ -79,6 +80,9 @@ def flown(
         right_px = right_px + strike.match_px * np.random.default_rng([seed, k]).standard_normal(right_px.shape)
         exposed_ns = 10_000 * MS + k * PERIOD_NS
         matches = match_set(left_px, right_px, strike.match_px, mid_exposure_ns=(exposed_ns, exposed_ns))
+        if strike.roll_rad is not None:
+            state = VehicleState(exposed_ns, exposed_ns, strike.roll_rad, 0.0, 0.0, 0.0, 0.0, 0.0, armed=True)
+            correction.vehicle.add(state)
         list(correction.add(matches, strike.stamps))
         for output in correction.due(tracker, exposed_ns + 1000 * MS):
             if isinstance(output, CorrectedRange):
@@ -188,6 +192,46 @@ def test_a_real_step_of_the_ground_is_believed_within_a_second_and_a_half(step_m
     back = next(k for k in range(CALM_PAIRS, PAIRS) if ranges[k].trusted)
     assert (back - CALM_PAIRS) * PERIOD_NS < 1500 * MS
     assert all(entry.trusted for entry in ranges[back:])
+
+
+def rolled_rad(k: int) -> float:
+    """Roll of a pair: from 45 degrees on one side to 45 on the other and back within 3 s, 1.6 rad/s at most."""
+    return float(np.radians(45.0) * np.cos(2.0 * np.pi * k * PERIOD_NS / 3e9))
+
+
+def test_a_bank_lengthens_the_range_and_moves_no_ground() -> None:
+    """Level ground 50 m below lies 50/cos(bank) along the axis: up to 80 m/s of change, and no jump."""
+    for seed in range(2):
+        ranges, said = flown(lambda k: Strike(range_m=50.0 / np.cos(rolled_rad(k)), roll_rad=rolled_rad(k)), seed)
+        assert [entry.trusted for entry in ranges] == [False, False] + [True] * (PAIRS - 2)
+        assert not said
+
+
+def banked(rolls_rad: list[float], heights_m: list[float], level_rad: float = 0.0) -> list[bool]:
+    """Whether each range is trusted, sigma 0.05 m; the autopilot's roll is ``level_rad`` more than the cameras'."""
+    gate, trusted = RangeGate(1.0), []
+    for k, (roll_rad, height_m) in enumerate(zip(rolls_rad, heights_m, strict=True)):
+        range_m = height_m / float(np.cos(roll_rad))
+        measured = CorrectedRange(
+            k, k, k * PERIOD_NS, 25, range_m, 0.05, 0.0, 1e-4, range_m, 100, trusted=True, reject=None
+        )
+        told_rad = (roll_rad + level_rad, 0.0)
+        trusted.append(gate.judge(measured, 0.0, slack_mps=0.0, attitude_rad=told_rad).trusted)
+    return trusted
+
+
+def test_a_jump_in_a_bank_is_a_jump() -> None:
+    """2 m of 50 are none where only the bank explains them, and ranges that stay as a bank ends have jumped."""
+    steady = [float(np.radians(45.0))] * 10
+    assert banked(steady, [50.0] * 6 + [52.0] * 4) == [False, False] + [True] * 4 + [False] * 4
+    levelled = steady[:6] + [0.0] * 4
+    assert not any(banked(levelled, [50.0] * 6 + [50.0 / float(np.cos(steady[0]))] * 4)[6:])
+
+
+def test_axes_that_the_autopilot_has_wrong_by_two_degrees_make_no_jump() -> None:
+    """From 45 degrees to 45 they change the height by 3.5 m of 50; in a steady bank they excuse nothing."""
+    rolls_rad = [float(np.radians(45.0)) * (-1.0) ** k for k in range(12)]
+    assert all(banked(rolls_rad, [50.0] * 12, level_rad=0.035)[2:])
 
 
 def over_a_slope(slope: float, *, toe_confirmed: bool, airspeed_mps: float = 22.0) -> list[bool]:

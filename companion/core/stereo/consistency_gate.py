@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.inverse_depth import RangeProduct
+from companion.core.stereo.vehicle_motion import LEVEL_RAD
 from companion.params.settings import Settings
 from companion.records import Bools, CorrectedRange, Floats, Ints, Reject
 
@@ -106,9 +107,11 @@ class RangeGate:
     """Trust a range when it agrees with the ranges before it, the last trusted one and the climb rate.
 
     A range that passed its own checks is compared with the last one, moved on by the climb rate (the range of cameras
-    that look down grows in a climb). ``_AGREEING_TO_TRUST`` ranges must agree among themselves. One that agrees with a
-    trusted one just before is trusted at once. Ranges that have left the last trusted one are not trusted for agreeing
-    with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be learnt anew.
+    that look down grows in a climb). Ranges to the ground are compared as heights: in a bank the range grows by
+    1/cos(bank), and the ground has not moved. ``_AGREEING_TO_TRUST`` ranges must agree among themselves. One that
+    agrees with a trusted one just before is trusted at once. Ranges that have left the last trusted one are not trusted
+    for agreeing with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be
+    learnt anew.
     After that (:meth:`reopened`) the sigma of a range is what matches have measured since. The first one must lie close
     to the last trusted one, or agree with the next. Several that agree are a new surface. Where no matches are used, a
     new surface must stay for ``_SURFACE_NS``.
@@ -137,7 +140,12 @@ class RangeGate:
         self._reopened, self._agreeing = True, 0
 
     def judge(
-        self, measured: CorrectedRange, climb_mps: float, slack_mps: float, lasting_m: float = 0.0
+        self,
+        measured: CorrectedRange,
+        climb_mps: float,
+        slack_mps: float,
+        lasting_m: float = 0.0,
+        attitude_rad: tuple[float, float] | None = None,
     ) -> CorrectedRange:
         """Withdraw the trust of a range that jumps.
 
@@ -151,10 +159,13 @@ class RangeGate:
             Further rate of the range by terrain and speed, m/s: :func:`range_slack_mps`.
         lasting_m : float
             The part of its sigma that neighbouring ranges share, m. It explains no jump.
+        attitude_rad : tuple of float, optional
+            Roll and pitch at the exposures; without them the aircraft counts as level.
         """
         if not measured.trusted:
             return measured
-        level = _RangeAt(measured.t_host_ns, measured.range_m, measured.sigma_m, min(lasting_m, measured.sigma_m))
+        tilt_rad = attitude_rad if attitude_rad is not None and self.lasting_surface else (0.0, 0.0)
+        level = _RangeAt.of(measured, min(lasting_m, measured.sigma_m), *tilt_rad)
         moving = _Moving(self.closing_mps_per_climb * climb_mps, slack_mps)
         follows = self._last is not None and level.t_ns - self._last.t_ns < RANGE_MEMORY_NS
         agrees = follows and moving.agree(self._last, level)
@@ -189,12 +200,25 @@ class RangeGate:
 
 @dataclass(frozen=True, slots=True)
 class _RangeAt:
-    """Range, sigma and time of a judged pair, as the gate remembers it."""
+    """Range, sigma and time of a judged pair, as the gate remembers it: vertical, if the aircraft looks down.
+
+    ``per_tilt_m`` is the derivative of the height by roll and by pitch, m/rad.
+    """
 
     t_ns: int
     range_m: float
     sigma_m: float
     lasting_m: float
+    per_tilt_m: tuple[float, float]
+
+    @classmethod
+    def of(cls, measured: CorrectedRange, lasting_m: float, roll_rad: float, pitch_rad: float) -> _RangeAt:
+        """Turn a range along body z into the height ``Z cos(roll) cos(pitch)`` over level ground."""
+        range_m, upright = measured.range_m, math.cos(roll_rad) * math.cos(pitch_rad)
+        by_roll_m = -range_m * math.sin(roll_rad) * math.cos(pitch_rad)
+        by_pitch_m = -range_m * math.cos(roll_rad) * math.sin(pitch_rad)
+        sigma_m, lasting_m = abs(upright) * measured.sigma_m, abs(upright) * lasting_m
+        return cls(measured.t_host_ns, upright * range_m, sigma_m, lasting_m, (by_roll_m, by_pitch_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +245,13 @@ class _Moving:
 
 
 def _parting_sigma_m(before: _RangeAt, after: _RangeAt) -> float:
-    """Sigma of the difference of two ranges, less the part that they share, m."""
+    """Sigma of the difference of two ranges, less the part that they share, m.
+
+    The axes of the autopilot against those of the cameras err by a constant, which shows as the attitude changes.
+    """
     shared_m2 = min(before.lasting_m, after.lasting_m) ** 2
-    return math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0))
+    level_m = LEVEL_RAD * math.dist(before.per_tilt_m, after.per_tilt_m)
+    return math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0) + level_m**2)
 
 
 # ------------------------------------------------------------------------------------ one range, one obstacle

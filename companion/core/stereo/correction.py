@@ -148,7 +148,8 @@ class Correction:
         if self.drift_filter.verdict is not MatchVerdict.AGREE or self.drift_filter.flow_contradicts:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
-        judged = self._judged(withheld(answer.range, reason), lasting_m, toe_confirmed=turned.flow >= _CONFIRMING_FLOW)
+        sound = withheld(answer.range, reason)
+        judged = self._judged(sound, lasting_m, attitude_rad, toe_confirmed=turned.flow >= _CONFIRMING_FLOW)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
@@ -172,12 +173,19 @@ class Correction:
             text = _LEFT_ASIDE if self.drift_filter.flow_left_aside else lenses
             yield Notice(Severity.WARNING, text, now_host_ns)
 
-    def _judged(self, measured: CorrectedRange, lasting_m: float, *, toe_confirmed: bool) -> CorrectedRange:
-        """The range after :class:`RangeGate`, which predicts it by the newest climb rate."""
+    def _judged(
+        self,
+        measured: CorrectedRange,
+        lasting_m: float,
+        attitude_rad: tuple[float, float] | None,
+        *,
+        toe_confirmed: bool,
+    ) -> CorrectedRange:
+        """The range after :class:`RangeGate`, which predicts it by attitude and the newest climb rate."""
         newest = self.vehicle.newest
         climb_mps, airspeed_mps = (0.0, 0.0) if newest is None else (newest.climb_mps, newest.airspeed_mps)
         slack_mps = range_slack_mps(self.airframe.looks_down, airspeed_mps, toe_confirmed=toe_confirmed)
-        return self.gate.judge(measured, climb_mps, slack_mps, lasting_m)
+        return self.gate.judge(measured, climb_mps, slack_mps, lasting_m, attitude_rad)
 
     def _lasting_m(self, turned: RelativeRotation, range_m: float) -> float:
         """The part of a range's sigma that neighbouring ranges share, m: the slow toe's."""

@@ -31,9 +31,9 @@ _LEAST_GROUND_MPS = 0.1
 # sigmas of a gyro whose airframe file states 0, the default: relative scale, and misalignment of its axes (choice: 1 %
 # of scale; axes that are aligned by eye)
 _UNSTATED_SCALE, _UNSTATED_AXES_RAD = 0.01, 0.01
-# heading of the autopilot, and pitch and roll of its axes against the cameras' body axes, 1 sigma (choice: a compass
-# that is calibrated, a mounting by hand)
-_HEADING_RAD, _LEVEL_RAD = 0.05, 0.02
+_HEADING_RAD = 0.05  # heading of the autopilot, 1 sigma (choice: a compass that is calibrated)
+LEVEL_RAD = 0.02
+"""Pitch and roll of the autopilot's axes against the cameras' body axes, 1 sigma (choice: a mounting by hand)."""
 _RATES_S = 4.0  # rates are kept so long: smoother's lag, queue and time between two pairs (choice)
 _RATE_GAP_NS = 50_000_000  # over a longer gap of the rates the turn is unknown (choice)
 
@@ -107,7 +107,7 @@ class VehicleTrack:
         velocity_mps = np.array([np.interp(0.0, since_s, axis) for axis in ned_mps.T])
         velocity = _in_body_axes(velocity_mps, roll_rad, pitch_rad, yaw_rad)
         speed_mps = float(np.linalg.norm(velocity))
-        sigma_mps = np.hypot(_stated_mps(around), speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
+        sigma_mps = np.hypot(_stated_mps(around), speed_mps * np.array([0.0, _HEADING_RAD, LEVEL_RAD]))
         return VehicleMotion(velocity, np.diag(sigma_mps**2), over_ground=True)
 
     def _around(self, t_host_ns: int) -> list[VehicleState]:
