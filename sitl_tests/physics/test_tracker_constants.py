@@ -57,6 +57,24 @@ def test_slope_factors_do_not_slide_with_the_scales(slope_sigma_ratio: float) ->
 
 
 @pytest.mark.slow
+def test_a_wing_that_stands_still_teaches_no_scale() -> None:
+    """No gust for half a minute: by the noise that the filter follows scales and slope factors came out small."""
+    cell = next(cell for cell in cells("priors", 7, 30.0) if cell.spec.symmetric.frequency_hz == 5.0)
+    modes = {at: dataclasses.replace(getattr(cell.spec, at), rms_m=1e-9) for at in ("symmetric", "antisymmetric")}
+    truth = dataclasses.replace(without_errors(cell.spec), motion=LEVEL, slope_sigma_ratio=0.0, **modes)
+    run = simulate(truth, (cell.seeds[0],))
+    tracker = WingTracker(believed_airframe(cell.spec, cell.seeds[0], cell.perturbation), Settings())
+    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, truth.duration_s, 0.05).tolist()):
+        for batch in batches:
+            tracker.add(batch)
+        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    learned = tracker.bias_parameters()
+    for name in ("slope.symmetric", "slope.antisymmetric", "left.kp", "right.kp", "left.kz", "right.kz"):
+        error, sigma = learned[name]
+        assert abs(error) < 2.0 * sigma, name
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [206, 203])
 def test_noise_of_the_roll_acceleration_is_no_common_bias(seed: int) -> None:
     """Level flight, 41 mm of trim: regressed on force and tilt together, the bias came out 5 to 6 sigma off."""

@@ -140,8 +140,8 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
     assert kalman.bias_parameter_covariance[at, at] == pytest.approx(sigma**2)
 
 
-def _taught(sends: str, shaken: bool) -> dict[str, float]:
-    """Bias parameters by an information that tells of each of them; the left tip is still or shaken."""
+def _taught(sends: str, *, shaken: bool, hidden: bool = False) -> dict[str, float]:
+    """Bias parameters by an information that tells of each; the left tip is shaken, or no mode is seen to move."""
     base = load_airframe("nadir-2m")
     left, right = (dataclasses.replace(tip, sends=sends) for tip in (base.left, base.right))
     tracker = WingTracker(dataclasses.replace(base, left=left, right=right), Settings())
@@ -152,7 +152,7 @@ def _taught(sends: str, shaken: bool) -> dict[str, float]:
     kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = -1.0 / sigma[1:]
     kalman.reset_bias_parameters([])
     noise.vibrating = (shaken, False)
-    kalman.take_noise(noise)
+    kalman.take_noise(noise, still=hidden)
     assert np.linalg.eigvalsh(kalman.bias_parameter_covariance).min() > 0.0
     return {name: estimate for name, (estimate, _) in tracker.bias_parameters().items()}
 
@@ -165,6 +165,23 @@ def test_no_scale_is_learned_of_a_tip_that_is_shaken_or_could_not_show_it() -> N
     slopes = {name for name in calm if name.startswith("slope.")}
     assert unknown == scales | slopes | {"shortening", "further_shortening", "trim"}
     assert mute["left.kz"] == mute["right.kz"] == 0.0 != mute["trim"]
+    hidden = _taught("xyzpqr", shaken=False, hidden=True)
+    both = scales | {"right.kz", "right.ky", "right.kp"}
+    assert {name for name in both | slopes if hidden[name] != 0.0} == set()
+
+
+@pytest.mark.parametrize(("rate_sigmas", "still"), [(1.0, True), (6.0, False)])
+def test_a_wing_is_still_while_its_modes_move_by_no_more_than_is_unknown_of_them(
+    rate_sigmas: float, still: bool
+) -> None:
+    tracker = WingTracker(load_airframe("nadir-2m"), Settings())
+    kalman, activity = tracker._kalman, tracker._activity
+    rates = [family.v for family in kalman.layout.families]
+    kalman.history.state[:, rates, 0] = rate_sigmas * np.sqrt(np.diag(kalman.covariance)[rates])
+    step_s, kalman.steps = kalman.model.step_s, kalman.history_length
+    for _ in range(round(3.0 / (kalman.steps * step_s)) + 1):
+        activity.update(kalman, kalman.steps, step_s)
+    assert activity.still is still
 
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:

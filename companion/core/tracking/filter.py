@@ -135,8 +135,8 @@ class SeparatedBiasFilter:
     def _consider_scales(self, vibrating: tuple[bool, bool], strongly: tuple[bool, bool]) -> bool:
         """Consider what vibrating and vertical-only tips cannot tell, estimate what still ones can again; whether any.
 
-        Vibration is coherent from epoch to epoch. A load that follows it makes predictions and innovations that
-        contradict each other by it, and every scale that is learned from these comes out small, the slope factors' and
+        Vibration is coherent from epoch to epoch. A load that follows it, or the noise about a still wing, makes
+        predictions and innovations contradict each other by it. Every scale learned so comes out small, slopes' and
         shortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
         lateral bias differ by the vertical force alone, with which a strongly vibrating tip's lateral motion goes.
         """
@@ -295,14 +295,14 @@ class SeparatedBiasFilter:
             covariance[block] += np.tril(D @ P_c @ D.swapaxes(1, 2))
         return self.history.innovation[slots], covariance
 
-    def take_noise(self, noise: RowNoise) -> bool:
-        """Go on with other variances of the rows and of the root's axes; whether bias parameters begin anew."""
+    def take_noise(self, noise: RowNoise, *, still: bool = False) -> bool:
+        """Go on with other variances of rows and root; whether bias parameters begin anew. ``still``: no mode shows."""
         self._constants = self._constants._replace(
             sensor_variance=noise.variance.copy(),
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
-        again = self._consider_scales(noise.vibrating, noise.strongly_vibrating)
+        again = self._consider_scales((True, True) if still else noise.vibrating, noise.strongly_vibrating)
         self._solve_bias_parameters()
         return again
 

@@ -233,14 +233,14 @@ class WingTracker:
         if alike(model.parameters, self._kalman.model.parameters):
             return None
         tried = self._trial_filter.fork(model)
-        tried.take_noise(noise)
+        tried.take_noise(noise, still=self._activity.still)
         return tried
 
     def _take(self, new: NewParameters) -> None:
         """Take new parameters unless they make the measurements inconsistent."""
         self._readaptation = None
         self._row_noise = new.row_noise
-        if self._kalman.take_noise(new.row_noise):
+        if self._kalman.take_noise(new.row_noise, still=self._activity.still):
             self._reopened_ns, self._manoeuvre_error = self._next_ns, ManoeuvreError()
         model = new.model
         if new.tried is not None:

@@ -21,6 +21,9 @@ _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
+# chosen, mean square rate of a mode over its variance given the sensors: 1 where nothing moves, some 30 where a tip
+# moves by 20 um rms (nadir-2m); below the first no mode is seen to move, above the second one is
+_HIDDEN_RATIO, _SHOWN_RATIO = 3.0, 9.0
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 _MOST_REFUSED = 20  # chosen, of fits in a row, once a second: none of their history is that of the last that was taken
 DISTRUST = {
@@ -52,6 +55,8 @@ class ModalActivity:
     deflection_sigmas : float
         Mean deflection of a family's first mode from its static bend over the last second, over the deflection's sigma
         in the gusts as fitted; the larger one. A vibration, however strong, has no mean.
+    still : bool
+        Neither family's first mode moves by more than the sensors leave unknown. The filter then follows their noise.
     """
 
     def __init__(self, layout: StateLayout, *, adapts: bool) -> None:
@@ -67,7 +72,7 @@ class ModalActivity:
         self._rms: Floats = np.zeros(2)
         self._recent: Floats = np.zeros(2)  # mean square
         self.settled_s = 0.0
-        self.learned = self.fitted = False
+        self.learned = self.fitted = self.still = False
         self.adapts = adapts
         self._refused = 0  # fits in a row
         self._drift = BiasDrift(layout)
@@ -104,6 +109,12 @@ class ModalActivity:
             self._blocks.append(self._sum / self._count)
             self._sum, self._count = np.zeros(2), 0
             self._rms = np.sqrt(np.median(self._blocks, axis=0))
+            self.still = self._stands_still(np.diag(kalman.covariance)[self._rate_states])
+
+    def _stands_still(self, rate_variance: Floats) -> bool:
+        """Whether the modes' rates are hidden behind what is unknown of them, (2,) (m/s)^2."""
+        limit = _SHOWN_RATIO if self.still else _HIDDEN_RATIO
+        return bool((self._rms**2 * self._stiffness < limit * rate_variance).all())
 
     def note_fit(self, *, taken: bool) -> bool:
         """Count a spectral fit that was taken or refused; True for the first that was taken."""
