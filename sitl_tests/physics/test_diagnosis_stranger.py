@@ -47,10 +47,10 @@ def names(diagnosis: dict[str, Any]) -> set[str]:
 
 def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: Path) -> None:
     write(tmp_path, AIRFRAME, Flight(1, duration_s=8.0, rate_hz=400.0, decimals=4))
-    tip = read_table(tmp_path / "accel.csv").columns["left_z_mps2"]
+    tip = read_table(tmp_path / "accel.csv")["left_z_mps2"]
     assert abs(np.mean(tip) + GRAVITY) < 0.2
     # 14.9 mm of trim bend diverge the axes by 41 mrad: 1/Z' = 1/40 + 0.041/1.98
-    inverse = np.mean(1.0 / read_table(tmp_path / "range.csv").columns["range_m"])
+    inverse = np.mean(1.0 / read_table(tmp_path / "range.csv")["range_m"])
     assert inverse == pytest.approx(1.0 / 40.0 + 0.0414 / 1.98, rel=0.05)
 
 

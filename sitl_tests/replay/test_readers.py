@@ -13,7 +13,7 @@ import pytest
 from pymavlink import DFReader, mavutil
 from pyulog import ULog
 
-from companion.adapters.recordings.logs.bin import BinRecording, raw_accelerometer
+from companion.adapters.recordings.logs.bin import BinRecording
 from companion.adapters.recordings.logs.dataflash import DataflashLog
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
 from companion.adapters.recordings.mcap.reader import McapRecording
@@ -22,6 +22,7 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, ImuBatch, Station
+from sitl_tests.replay.raw_accelerometer import raw_accelerometer
 from sitl_tests.unit.recordings_help import assert_equal
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.logs.bin import raw_accelerometer
 from companion.adapters.recordings.logs.dataflash import DataflashLog
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
@@ -24,6 +23,7 @@ from companion.evaluation.replay import drive, foreign_inputs
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
 from companion.records import Firing, ImuBatch, ModeState, Record, Station, TriggerPlan, Validity
+from sitl_tests.replay.raw_accelerometer import raw_accelerometer
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 RECORDINGS = DATA / "recordings"

@@ -13,7 +13,6 @@ import numpy as np
 
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.params.airframe import Airframe
-from companion.params.files import dump_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Notice, Station
 from companion.units import Severity
@@ -48,11 +47,6 @@ class Recording(Protocol):
     @property
     def notices(self) -> list[Notice]:
         """Sentences about what is wrong with the recording or worth knowing."""
-        ...
-
-    @property
-    def airframe_text(self) -> str:
-        """The airframe as TOML."""
         ...
 
     def records(self) -> Iterator[Recordable]:
@@ -189,8 +183,3 @@ class LoggedRecording:
     def notices(self) -> list[Notice]:
         """Sentences about what is wrong or worth knowing; complete once ``records`` is exhausted."""
         return self.notes.notices
-
-    @property
-    def airframe_text(self) -> str:
-        """The airframe as TOML."""
-        return dump_airframe(self.airframe)

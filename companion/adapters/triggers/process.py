@@ -63,7 +63,6 @@ class TriggerLink:
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
-        self.realtime: Realtime | None = None
         self.dropped = 0
         self._warnings: list[str] = []
 
@@ -92,10 +91,8 @@ class TriggerLink:
         with contextlib.suppress(OSError):
             while message := self._end.recv(LARGEST):
                 report = unpack_report(message)
-                if isinstance(report, Realtime):
-                    self.realtime = report
-                    if not (report.fifo and report.memory_locked):
-                        self._warnings.append(report.sentence())
+                if isinstance(report, Realtime) and not (report.fifo and report.memory_locked):
+                    self._warnings.append(report.sentence())
                 if report is not None:
                     reports.append(report)
         return reports
@@ -109,7 +106,7 @@ class TriggerProcess(TriggerLink):
     """A trigger process with its link, for a service (or bench) that has no supervisor. Use as a context manager.
 
     ``factory`` is picklable and opens the trigger line inside the process. ``fifo`` asks for a real-time priority;
-    whether it was granted is in :attr:`realtime` once the process runs.
+    :meth:`wait_ready` says whether it was granted.
     """
 
     def __init__(self, factory: Callable[[], Trigger], *, fifo: bool = True) -> None:
@@ -139,7 +136,6 @@ class TriggerProcess(TriggerLink):
         report = unpack_report(message)
         if not isinstance(report, Realtime):
             raise DeviceError("the trigger process ended before its line was open")
-        self.realtime = report
         return report
 
     @property

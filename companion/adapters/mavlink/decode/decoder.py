@@ -119,11 +119,6 @@ class Decoder:
         return self._translator.choice
 
     @property
-    def armed(self) -> bool:
-        """Whether the autopilot's last heartbeat said so."""
-        return self._translator.armed
-
-    @property
     def px4(self) -> bool:
         """Whether the autopilot's last heartbeat said that it is PX4."""
         return self._translator.px4

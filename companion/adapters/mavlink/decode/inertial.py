@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.adapters.mavlink.decode.bulk import SampleRun
 from companion.adapters.mavlink.decode.counters import RefusalCounters
-from companion.adapters.mavlink.decode.layouts import LAYOUTS, MessageSamples
+from companion.adapters.mavlink.decode.layouts import MessageSamples
 from companion.adapters.mavlink.decode.source_map import MappedSource
 from companion.adapters.mavlink.link.dialect import NAME_OF
 from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS, ClockResetDetector
@@ -28,7 +28,6 @@ class StationReader:
         self.name = f"{NAME_OF[source.message]} of component {source.component}"
         self._reset_detector, self._followed = reset_detector, reset_detector.follow(source.clock)
         self._refusals = refusals
-        self._named = LAYOUTS[source.message].named
         self._order, self._signs = source.order, source.signs
         self._turned = source.body_from_sensor is not None
 

@@ -60,10 +60,6 @@ class SourceMap:
         """Ids of the inertial messages that any station listens to."""
         return frozenset(source.message for source in self.sources)
 
-    def at(self, message: int, component: int) -> tuple[MappedSource, ...]:
-        """Sources with that message id and component; they differ by instance."""
-        return tuple(entry for entry in self.sources if (entry.message, entry.component) == (message, component))
-
 
 def build_mapping(airframe: Airframe) -> SourceMap:
     """Read the mapping from an airframe.

@@ -40,7 +40,6 @@ from companion.units import Severity
 
 _MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
 _SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
-_SIGNATURE_BYTES = 13  # link id, timestamp, signature (MAVLink signing)
 _KEY_BYTES = 32  # a SHA-256 hash (MAVLink signing)
 _UNIT_NS = 10_000  # unit of a signature's timestamp (MAVLink signing)
 _MINUTE = 60 * 100_000  # in units of 10 us: how far behind a new stream may be (MAVLink signing)

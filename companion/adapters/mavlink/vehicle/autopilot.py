@@ -58,6 +58,7 @@ _SECOND_NS = 1_000_000_000  # by definition
 _STATE_RATE_HZ = 20.0  # attitude, airspeed and velocity over ground, for display and rigid motion (choice)
 _MOST_ANSWERS = 16  # TIMESYNC answers in one chunk; bound of the time of one read
 _MOST_HELD = 16  # bound of memory
+_GATHER_NS = 4_000_000  # for so long bytes are gathered before they are decoded (choice)
 
 
 class MavlinkAutopilot:
@@ -66,7 +67,7 @@ class MavlinkAutopilot:
     Everything is done inside :meth:`poll`, which the loop that can see the service's health calls: when it stalls, our
     heartbeat stops. Times are of the given clock alone.
 
-    ``links`` are open, their numbers differ and are below 128. Bytes are gathered for ``gather_s`` before they are
+    ``links`` are open, their numbers differ and are below 128. Bytes are gathered for 4 ms before they are
     read, so that decoding works on batches, but not while an answer to TIMESYNC is awaited, whose arrival time matters.
     ``listener`` is called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...). ``component`` is our own
     component (parameters, commands, files), by default one that keeps nothing over a restart. ``needed`` names the
@@ -80,7 +81,6 @@ class MavlinkAutopilot:
         settings: Settings,
         clock: Clock,
         *,
-        gather_s: float = 0.004,
         listener: Callable[[Heard], None] | None = None,
         component: OnboardComponent | None = None,
         needed: tuple[str, ...] = NEEDED_PARAMETERS,
@@ -99,7 +99,6 @@ class MavlinkAutopilot:
         for link in self._links:
             if link.senders is not None:
                 link.senders.guarded = frozenset(self.decoder.mapping.clocks)
-        self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
         self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
         self._sender = ComponentSender(self._links, self.component, settings.component_id, clock)
@@ -184,7 +183,7 @@ class MavlinkAutopilot:
         if self.decoder.system_id is not None:
             deadline = min(deadline, max(self._timesync.next_host_ns, now))
         if not self._timesync.awaiting(now):
-            gathered = self._read_host_ns + self._gather_ns
+            gathered = self._read_host_ns + _GATHER_NS
             self._clock.sleep_until(min(gathered, deadline))
             if gathered > deadline:
                 return False

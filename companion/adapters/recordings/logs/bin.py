@@ -106,11 +106,6 @@ class BinRecording(OnboardLog):
         return latest(self.log.take(message, "TimeUS", field), "TimeUS", field, t_us)
 
 
-def raw_accelerometer(log: DataflashLog, imu: int) -> tuple[Ints, Floats]:
-    """Raw accelerometer of IMU 0, 1 or 2, unfiltered: boot ns (n,), and specific force (n, 3) in m/s^2, body FRD."""
-    return _raw(log, "ACC", imu)
-
-
 def _raw(log: DataflashLog, name: str, imu: int) -> tuple[Ints, Floats]:
     fields = [f"{name.capitalize()}{axis}" for axis in "XYZ"]
     table = log.take(name, "SampleUS", "I", *fields)

@@ -89,12 +89,6 @@ class DataflashLog:
         if not self._starts.size:
             raise RecordingError(f"{path}: no whole message in this log")
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """Messages by name."""
-        numbers, counts = np.unique(self._types, return_counts=True)
-        return {self._formats[int(n)].name: int(c) for n, c in zip(numbers, counts, strict=True)}
-
     def take(self, name: str, *needed: str) -> dict[str, Any]:
         """Give all messages of a kind as a dict of field name to array, in log order.
 

@@ -33,7 +33,7 @@ from companion.adapters.recordings.mcap.writer import FORMAT_VERSION
 from companion.adapters.recordings.recording import Notes
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
-from companion.params.files import dump_airframe, parse_airframe
+from companion.params.files import parse_airframe
 from companion.params.settings import Settings, tunables
 from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
@@ -89,11 +89,6 @@ class McapRecording:
         self.complete = self.dropped == 0
         self.cut = not (self._end.orderly and "spanwise.end" in facts)
         self._finished = "spanwise.end" in facts
-
-    @property
-    def airframe_text(self) -> str:
-        """The airframe as TOML."""
-        return dump_airframe(self.airframe)
 
     @property
     def notices(self) -> list[Notice]:

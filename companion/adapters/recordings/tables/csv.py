@@ -98,11 +98,11 @@ class CsvRecording(LoggedRecording):
     def _accel(self, file: Path) -> Iterator[InertialStream]:
         table = read_table(file)
         place = file.stem.removeprefix("accel").lstrip("_")
-        t_s, rounded = without_rounding(table.columns["t_s"])
+        t_s, rounded = without_rounding(table["t_s"])
         if rounded:
             self.notes.add(f"{file}: {rounded}", severity=Severity.INFO)
         stations: dict[Station, list[tuple[int, Floats]]] = {}
-        for name, values in table.columns.items():
+        for name, values in table.items():
             column = inertial_column(file, name, place)
             if column is not None:
                 station, index, factor = column
@@ -138,7 +138,7 @@ class CsvRecording(LoggedRecording):
     def _ranges(self, file: Path) -> RangeTable | None:
         if not file.exists():
             return None
-        columns = read_table(file, ("range_m",), frozenset({"range_m"})).columns
+        columns = read_table(file, ("range_m",), frozenset({"range_m"}))
         optional: dict[str, Any] = {name: columns.get(name) for name in RANGE_OPTIONAL}
         further = {name: columns[name] for name in columns if name not in ("t_s", "range_m", *RANGE_OPTIONAL)}
         for name in further:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +12,10 @@ from companion.errors import RecordingError, TableError
 from companion.records import Floats
 
 
-@dataclass(frozen=True, slots=True)
-class NumberTable:
-    """A table as read: ``columns`` by header name, each (n,), in file order."""
-
-    path: Path
-    columns: dict[str, Floats]
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return len(next(iter(self.columns.values())))
-
-
 def read_table(
     path: Path, required: tuple[str, ...] = (), may_be_infinite: frozenset[str] = frozenset()
-) -> NumberTable:
-    """Read a CSV table whose first line is its header; ``t_s`` must be there.
+) -> dict[str, Floats]:
+    """Read a CSV table, whose first line is its header: columns (n,) by name, in file order; ``t_s`` must be there.
 
     Columns of ``required`` must be there too; ``inf`` is allowed in those of ``may_be_infinite``. Empty cells and
     not-a-number are allowed nowhere.
@@ -50,7 +36,7 @@ def read_table(
     strict = [i for i, name in enumerate(header) if name not in may_be_infinite]
     if not np.isfinite(values[:, strict]).all() or np.isnan(values).any():
         _find_bad_cell(path, header, may_be_infinite)
-    return NumberTable(path, {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)})
+    return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)}
 
 
 def _header(path: Path) -> list[str]:
