@@ -97,7 +97,7 @@ def identify_runs(runs: list[FrequencyResponse], points: int) -> list[Identified
     poles_per_run = [stable_poles(run.frequency_hz, run.response) for run in runs]
     groups = _grouped(poles_per_run, len(runs))
     per_run = [_completed(poles, groups, index) for index, poles in enumerate(poles_per_run)]
-    all_lines = [_residues(run, poles) for run, poles in zip(runs, per_run, strict=True)]
+    all_lines = [residues(run.frequency_hz, run.response, poles) for run, poles in zip(runs, per_run, strict=True)]
     even, odd = (
         [_of_half(run.lines(first, 2), poles) for run, poles in zip(runs, per_run, strict=True)] for first in (0, 1)
     )
@@ -189,16 +189,12 @@ def _middle(group: _PoleChain) -> Pole:
 def _of_half(half: FrequencyResponse, poles: list[Pole]) -> Complex:
     """Residues of one half of the lines, by the poles that this half shows itself, where it shows them."""
     half_poles = stable_poles(half.frequency_hz, half.response)
-    return _residues(half, [_nearest(half_poles, pole) for pole in poles])
+    return residues(half.frequency_hz, half.response, [_nearest(half_poles, pole) for pole in poles])
 
 
 def _nearest(half_poles: list[Pole], wanted: Pole) -> Pole:
     best = min(half_poles, key=lambda pole: abs(pole.frequency_hz - wanted.frequency_hz), default=wanted)
     return best if abs(best.frequency_hz - wanted.frequency_hz) < 0.5 * _LINK * wanted.frequency_hz else wanted
-
-
-def _residues(run: FrequencyResponse, poles: list[Pole]) -> Complex:
-    return residues(run.frequency_hz, run.response, poles)
 
 
 def _shape(runs: list[FrequencyResponse], residues_per_run: list[Complex], mode: int, points: int) -> Complex:

@@ -48,11 +48,6 @@ class LensFit:
     values: Floats
     sigmas: Floats
 
-    @property
-    def matrix(self) -> Floats:
-        """(3, 3) camera matrix."""
-        return camera_matrix(self.values)
-
 
 @dataclass(frozen=True, slots=True)
 class RigFit:

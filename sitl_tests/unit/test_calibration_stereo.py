@@ -15,7 +15,7 @@ import pytest
 
 from companion.calibration import stereo_rig
 from companion.calibration.boards import Board, Corners, find_corners
-from companion.calibration.bundle import Bundle, adjust
+from companion.calibration.bundle import Bundle, adjust, camera_matrix
 from companion.calibration.rig_airframe import airframe_with_rig, baselines
 from companion.calibration.stereo_rig import BoardView, RigFit, calibrate_rig, find_views, toe_sigma_rad
 from companion.cli import calibrate
@@ -376,7 +376,7 @@ def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_
     rays = []
     for true, lens, turn, shift in zip((LEFT, RIGHT), fit.lenses, (0 * TURN, TURN), (0 * SHIFT, SHIFT), strict=True):
         pixels = cv2.projectPoints(points, turn, shift, true.matrix, np.asarray(true.distortion))[0]
-        rays.append(cv2.undistortPoints(pixels, lens.matrix, np.asarray(lens.values[4:]))[:, 0])
+        rays.append(cv2.undistortPoints(pixels, camera_matrix(lens.values), np.asarray(lens.values[4:]))[:, 0])
     apart = np.column_stack([cv2.Rodrigues(fit.rotation_rad)[0], fit.translation_m])
     triangulated = cv2.triangulatePoints(np.eye(3, 4), apart, rays[0].T.copy(), rays[1].T.copy())
     error_rad = float(np.linalg.norm(SHIFT)) * abs(float(np.mean(triangulated[3] / triangulated[2])) - 1.0 / 60.0)
