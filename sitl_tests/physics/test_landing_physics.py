@@ -149,7 +149,7 @@ def test_right_aileron_rolls_right_and_lifts_the_left_tip() -> None:
     trim = trimmed(PLANE, 22.0)
     aircraft = FlexibleAircraft(PLANE, MODEL, trim.state(60.0))
     flown(aircraft, trim.controls._replace(aileron_rad=0.1), 0.12)
-    left_m, right_m = MODEL.tip_lift_m(aircraft.wing.q_m)
+    left_m, right_m = MODEL.structure.lift @ aircraft.wing.q_m
     assert aircraft.state[9] > 0.05
     assert left_m > right_m + 1e-4
 

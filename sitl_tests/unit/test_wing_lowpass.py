@@ -6,8 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import freqz
 
-from companion.core.wing.lowpass import Biquad, Butterworth2
+from companion.core.wing.lowpass import Biquad, Butterworth2, Complexes
+from companion.records import Floats
+
+
+def gain(biquad: Biquad, frequency_hz: Floats) -> Complexes:
+    return np.asarray(freqz(biquad.b, (1.0, *biquad.a), worN=frequency_hz, fs=biquad.rate_hz)[1])
 
 
 @pytest.mark.parametrize(("cutoff_hz", "phase_deg"), [(20.0, -30.8), (100.0, -5.8)])
@@ -21,23 +27,15 @@ def test_the_phase_of_20_hz_is_11_7_ms_at_7_3_hz() -> None:
     assert -phase / (2 * math.pi * 7.3) == pytest.approx(0.0117, abs=5e-5)
 
 
-def test_state_space_has_the_same_response() -> None:
-    filter_ = Butterworth2(20.0)
-    a, b, c = filter_.state_space()
-    for frequency in (0.0, 3.0, 20.0, 90.0):
-        s = 2j * math.pi * frequency
-        assert c @ np.linalg.solve(s * np.eye(2) - a, b) == pytest.approx(filter_.response(np.array([frequency]))[0])
-
-
 def test_the_biquad_is_down_3_db_at_its_cutoff_and_passes_the_mean() -> None:
-    response = Biquad.lowpass(20.0, 400.0).response(np.array([0.0, 20.0]))
+    response = gain(Biquad.lowpass(20.0, 400.0), np.array([0.0, 20.0]))
     assert np.abs(response) == pytest.approx([1.0, math.sqrt(0.5)])
     assert np.angle(response[1]) == pytest.approx(-math.pi / 2)
 
 
 def test_the_biquad_tends_to_the_continuous_filter() -> None:
     frequency = np.linspace(0.5, 40.0, 50)
-    difference = Biquad.lowpass(20.0, 20000.0).response(frequency) - Butterworth2(20.0).response(frequency)
+    difference = gain(Biquad.lowpass(20.0, 20000.0), frequency) - Butterworth2(20.0).response(frequency)
     assert np.abs(difference).max() < 2e-4
 
 
@@ -46,8 +44,8 @@ def test_running_the_biquad_on_a_sine_gives_its_response() -> None:
     t = np.arange(4000) / rate
     wave = np.exp(2j * math.pi * frequency * t)
     filtered = biquad.run(np.column_stack([wave.real, wave.imag]))
-    gain = (filtered[:, 0] + 1j * filtered[:, 1])[2000:] / wave[2000:]
-    assert gain == pytest.approx(biquad.response(np.array([frequency]))[0], abs=1e-9)
+    passed = (filtered[:, 0] + 1j * filtered[:, 1])[2000:] / wave[2000:]
+    assert passed == pytest.approx(gain(biquad, np.array([frequency]))[0], abs=1e-9)
 
 
 def test_running_starts_settled() -> None:

@@ -61,7 +61,7 @@ def test_a_third_symmetric_mode_is_one_coordinate_more_whoever_adds_it() -> None
 
 def test_tips_move_by_the_sum_with_the_antisymmetric_part_reversed_on_the_left() -> None:
     q = np.array([0.01, 0.002, 0.0005])
-    assert MODEL.tip_lift_m(q) == pytest.approx([0.0085, 0.0125])
+    assert MODEL.structure.lift @ q == pytest.approx([0.0085, 0.0125])
     symmetric, antisymmetric = 1.39 * 0.01 + 4.78 * 0.0005, 1.41 * 0.002
     assert MODEL.tip_slope_rad(q) == pytest.approx([symmetric - antisymmetric, symmetric + antisymmetric])
     assert MODEL.structure.twist_radpm @ q == pytest.approx([0.002 + 0.0002, 0.002 - 0.0002])
@@ -117,7 +117,7 @@ def test_left_right_frequency_makes_each_half_ring_at_its_own() -> None:
     model = WingModel(equal, (LeftRightFrequency(0.02),))
     squared, vectors = np.linalg.eigh(model.structure.stiffness_radps2)
     assert np.sqrt(squared) / (2 * math.pi) == pytest.approx([5.0 * 0.98, 5.0 * 1.02])
-    tips = model.tip_lift_m(vectors.T)
+    tips = (model.structure.lift @ vectors).T
     assert np.abs(tips[0]) == pytest.approx([math.sqrt(2.0), 0.0], abs=1e-12)  # the low one is the left half alone
     assert np.abs(tips[1]) == pytest.approx([0.0, math.sqrt(2.0)], abs=1e-12)
 
@@ -129,7 +129,7 @@ def test_cubic_stiffness_acts_on_each_half_by_itself() -> None:
     static = model.q_static(1.0)
     left_only = static + np.array([0.005, -0.005])  # left tip 10 mm up, right at rest
     motion = ModalMotion(0.0, left_only, np.zeros(2), static, 1.0, model.structure)
-    left, right = model.tip_lift_m(effect.force(motion))
+    left, right = model.structure.lift @ effect.force(motion)
     assert left == pytest.approx(-kappa * (2 * math.pi * 5.0) ** 2 * 0.01**3)
     assert right == pytest.approx(0.0, abs=1e-12)
 

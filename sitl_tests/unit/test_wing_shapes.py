@@ -21,7 +21,7 @@ def test_a_polynomial_is_found_exactly_with_its_slope_and_twist() -> None:
     assert at.deflection == pytest.approx(_bent(0.8) + 0.01 * 0.8 * 0.5)
     assert at.slope == pytest.approx(0.6 * 0.8 + 2.1 * 0.64 + 0.005)
     assert at.twist == pytest.approx(0.016 / 0.2)  # leading edge up is nose up
-    assert np.all(at.sigma < 1e-9)
+    assert np.all(np.sqrt(np.diag(at.covariance)) < 1e-9)
 
 
 def test_a_clamped_edge_starts_flat_and_reaches_back_to_the_root() -> None:
@@ -42,7 +42,7 @@ def test_sigma_is_the_spread_of_repeated_measurements() -> None:
         edges = [EdgePoints(span, _bent(span) + generator.normal(0.0, 0.004, 25)) for _ in range(2)]
         shape = WingShape(*(fit_polynomial(edge, 3, clamped=True) for edge in edges))
         at = shape.at(*place)
-        errors.append((np.array([at.deflection, at.slope, at.twist]) - truth) / at.sigma)
+        errors.append((np.array([at.deflection, at.slope, at.twist]) - truth) / np.sqrt(np.diag(at.covariance)))
         factors = shape.factors(place, tip)
         values = np.array([factors.lift_gain, factors.slope_factor_radpm, factors.twist_factor_radpm])
         factor_errors.append((values - truth) / np.sqrt(np.diag(factors.covariance)))  # the tip moves by 1

@@ -31,12 +31,6 @@ class Butterworth2:
         r = np.asarray(frequency_hz, dtype=np.float64) / self.cutoff_hz
         return np.asarray(1.0 / (1.0 - r**2 + 1j * math.sqrt(2.0) * r))
 
-    def state_space(self) -> tuple[Floats, Floats, Floats]:
-        """Give a (2, 2), b (2,), c (2,) with states [output, its rate]: x' = a x + b u, y = c x."""
-        wc = 2.0 * math.pi * self.cutoff_hz
-        a = np.array([[0.0, 1.0], [-(wc**2), -math.sqrt(2.0) * wc]])
-        return a, np.array([0.0, wc**2]), np.array([1.0, 0.0])
-
 
 @dataclass(frozen=True, slots=True)
 class Biquad:
@@ -66,12 +60,6 @@ class Biquad:
         a1 = 2.0 * (ohm * ohm - 1.0) / c
         a2 = (1.0 - 2.0 * math.cos(math.pi / 4.0) * ohm + ohm * ohm) / c
         return cls((b0, 2.0 * b0, b0), (a1, a2), rate_hz)
-
-    def response(self, frequency_hz: Floats) -> Complexes:
-        """Complex gain (k,) at each frequency, below half the rate."""
-        delay = np.exp(-2j * math.pi * np.asarray(frequency_hz, dtype=np.float64) / self.rate_hz)
-        top = self.b[0] + (self.b[1] + self.b[2] * delay) * delay
-        return np.asarray(top / (1.0 + (self.a[0] + self.a[1] * delay) * delay))
 
     def run(self, samples: Floats) -> Floats:
         """Filter (m,) or (m, k) samples along time, starting settled on the first, as ArduPilot's reset does."""

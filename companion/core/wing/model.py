@@ -124,10 +124,6 @@ class WingModel:
             np.concatenate([zero, stiffness @ self.structure.static_per_g_m]),
         )
 
-    def tip_lift_m(self, q_m: Floats) -> Floats:
-        """Upward displacement of left and right tip station, (..., 2) from (..., n)."""
-        return np.asarray(q_m @ self.structure.lift.T)
-
     def tip_slope_rad(self, q_m: Floats) -> Floats:
         """Up-bend slope of left and right tip station, (..., 2) from (..., n); rates go the same way."""
         return np.asarray(q_m @ self.structure.slope_radpm.T)

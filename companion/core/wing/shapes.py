@@ -127,11 +127,6 @@ class ShapeAt:
     twist: float
     covariance: Floats
 
-    @property
-    def sigma(self) -> Floats:
-        """Standard deviations (3,) of deflection, slope and twist."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
 
 @dataclass(frozen=True, slots=True)
 class ModalFactors:
