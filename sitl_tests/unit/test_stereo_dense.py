@@ -10,18 +10,37 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.stereo.dense import DenseMatcher, metric_pairs, points, raw_pairs
+from companion.core.stereo.dense import DenseMatcher, Disparity, _rectified_pairs, metric_pairs, raw_pairs
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
-from companion.core.stereo.rectification import rectification, rectify, rest_rectification
+from companion.core.stereo.rectification import Rectification, rectification, rectify, rectify_pair, rest_rectification
 from companion.params.settings import Settings
-from companion.records import Side
+from companion.records import Bytes, Floats, Side
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, wall_ahead
 from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
 
 LENS = (-0.2, 0.05, 0.001, -0.001, 0.0)
 SETTINGS = Settings()
+SIGMA_PX = 0.35  # of a disparity (filling.py)
 slopes = st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
+
+
+def matched(left: Bytes, right: Bytes, rig: Rig, frame: Rectification) -> Disparity:
+    return Disparity(frame, DenseMatcher(0, 64).match_rectified(*rectify_pair(frame, rig, left, right)), SIGMA_PX)
+
+
+def points(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
+    """Points (n, 3) of a grid, body axes, and the one-sigma of their distances (n,), m."""
+    frame = dense.frame
+    left, right = _rectified_pairs(dense, step_px)
+    ahead = left[:, 0] > right[:, 0]
+    pixels, disparity = left[ahead], (left - right)[ahead, 0]
+    depth = frame.focal_px * frame.baseline_m / disparity
+    rays = np.column_stack([(pixels - frame.matrix[:2, 2]) / frame.focal_px, np.ones(len(pixels))])
+    at: Floats = frame.left.position_body_m + (rays * depth[:, np.newaxis]) @ frame.rectified_from_body
+    stretch = np.linalg.norm(rays, axis=1)
+    sigma_px = dense.sigma_px * 2.0**dense.level
+    return at, stretch * depth**2 / (frame.focal_px * frame.baseline_m) * sigma_px
 
 
 @pytest.mark.slow
@@ -98,7 +117,7 @@ def test_dense_ranges_follow_the_bend(range_m: float) -> None:
         photograph(plane, rig.right, right, noise_grey=1.5, seed=9),
     )
     frame = rectification(rig, left, right)
-    dense = DenseMatcher(0, 64).match(*images, rig, frame)
+    dense = matched(*images, rig, frame)
     assert np.isfinite(dense.disparity_px[:, 100:560]).mean() > 0.8
     at, sigma_m = points(dense, 8)
     errors = (at[:, 2] - range_m) / sigma_m
@@ -117,7 +136,7 @@ def test_without_texture_there_is_no_disparity() -> None:
     airframe = nadir()
     rig = Rig.from_airframe(airframe)
     blank = np.full((480, 640), 120, np.uint8)
-    dense = DenseMatcher(0, 64).match(blank, blank, rig, rest_rectification(rig))
+    dense = matched(blank, blank, rig, rest_rectification(rig))
     at, sigma_m = points(dense, 8)
     assert len(at) == len(sigma_m) == len(raw_pairs(dense, rig, 8)[0])
     assert np.isfinite(dense.disparity_px).mean() < 0.02

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import Matches, expected_slopes, returned
-from companion.core.stereo.rectification import Rectification, rectify_pair
+from companion.core.stereo.rectification import Rectification
 from companion.core.stereo.refine import HALF_WINDOW, refine
 from companion.records import Bools, Bytes, Floats
 
@@ -21,9 +21,6 @@ _STEPS_PER_PX = 16.0  # OpenCV's fixed point of disparity
 _LEFT_RIGHT_PX = 1  # OpenCV's usual left-right check
 _UNIQUENESS_PERCENT = 10  # OpenCV's usual value
 _SPECKLE_AREA_PX = 60  # smaller islands of disparity are mismatches (choice)
-# Sigma of a disparity. Semi-global matching is biased toward whole pixels by a quarter of one. All points of a surface
-# share that error, so it does not average out, and ranges use the refined matches of `metric_pairs` (choice).
-_SIGMA_PX = 0.35
 # Mean absolute horizontal slope of brightness, grey levels per pixel, below which a place has no texture (choice).
 _LEAST_TEXTURE = 3.0
 _TEXTURE_WINDOW_PX = 11  # about two matching blocks (choice)
@@ -78,11 +75,6 @@ class DenseMatcher:
             mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
         )
         self._first_px = first_px
-
-    def match(self, left: Bytes, right: Bytes, rig: Rig, frame: Rectification) -> Disparity:
-        """Rectify a raw pair for the poses of ``frame`` and match it."""
-        rectified_left, rectified_right = rectify_pair(frame, rig, left, right)
-        return Disparity(frame, self.match_rectified(rectified_left, rectified_right), _SIGMA_PX)
 
     def match_rectified(self, left: Bytes, right: Bytes) -> Floats:
         """Disparity (rows, columns) float32 of a rectified pair, NaN where unknown."""
@@ -155,20 +147,6 @@ def metric_pairs(
     good = fine.good & (fine.correlation > _METRIC_SCORE)
     good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
-
-
-def points(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
-    """Points (n, 3), m, body axes, on a grid of ``step_px``, and the one-sigma of their distances (n,), m."""
-    frame = dense.frame
-    left, right = _rectified_pairs(dense, step_px)
-    ahead = left[:, 0] > right[:, 0]
-    pixels, disparity = left[ahead], (left - right)[ahead, 0]
-    depth = frame.focal_px * frame.baseline_m / disparity
-    rays = np.column_stack([(pixels - frame.matrix[:2, 2]) / frame.focal_px, np.ones(len(pixels))])
-    at: Floats = frame.left.position_body_m + (rays * depth[:, np.newaxis]) @ frame.rectified_from_body
-    stretch = np.linalg.norm(rays, axis=1)
-    sigma_px = dense.sigma_px * 2.0**dense.level
-    return at, stretch * depth**2 / (frame.focal_px * frame.baseline_m) * sigma_px
 
 
 def _rectified_pairs(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:

@@ -26,7 +26,10 @@ _STEP_PX = 32  # grid of proposed places in the raw image: speed (choice)
 _LEAST_FEATURES = 12  # for two unknowns, and enough to outvote mismatches (choice)
 _IRLS_STEPS = 8  # reweightings (choice)
 _COARSE_RAD = 0.0003  # parallax of a good match, rad, below which all have equal weight (choice)
-_SIGMA_PX = 0.35  # as in dense.py, px of the small images (choice)
+# Sigma of a disparity, px of the small images. Semi-global matching is biased toward whole pixels by a quarter of
+# one. All points of a surface share that error, so it does not average out, and ranges use the refined matches of
+# `metric_pairs` (choice).
+_SIGMA_PX = 0.35
 _BLOCK_PX = 16  # disparities are searched in blocks of so many (choice)
 
 

@@ -190,10 +190,6 @@ class Rig:
         """Pixels (n, 2) of body points (n, 3); see :meth:`MountedCamera.project`."""
         return self.camera(side).project(pose, points_body_m)
 
-    def unproject(self, side: Side, pixels: Floats) -> Floats:
-        """Rays (n, 3) in camera axes with z = 1 of distorted pixels (n, 2); see :meth:`Lens.unproject`."""
-        return self.camera(side).lens.unproject(pixels)
-
     @property
     def baseline_m(self) -> float:
         """Distance of the two centres of projection at rest, m."""
