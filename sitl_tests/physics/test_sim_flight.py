@@ -11,10 +11,11 @@ import pytest
 from companion.params.airframe import Airframe, Sensor, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Station
-from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, Jolt, PullUp, Roll, demo_plan, still_plan
+from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, Jolt, PullUp, Roll, demo_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.sensors import station_readings
+from sitl_tests.still_plan import still_plan
 
 G = 9.80665
 SLOPE = 1.39

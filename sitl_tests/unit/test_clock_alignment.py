@@ -23,9 +23,9 @@ from companion.core.clock.motion_alignment import (
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import ClockName, ClockState, Floats, ImuBatch, Notice, Rejected, Station, TimesyncReply
-from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
+from sitl_tests.still_plan import still_plan
 from sitl_tests.unit.pipeline_flight import in_order, run
 
 NODE = ClockName.NODE_LEFT

@@ -8,10 +8,10 @@ import pytest
 from companion.evaluation.trigger_scores import dominating, trigger_scores, true_peaks
 from companion.params.files import load_airframe
 from companion.records import ClockName, Firing, MatchSet, TriggerPlan
-from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.truth import MODAL
+from sitl_tests.still_plan import still_plan
 
 START_NS = 7_000_000_000
 

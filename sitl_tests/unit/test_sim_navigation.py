@@ -9,13 +9,13 @@ import pytest
 
 from companion.params.files import load_airframe
 from companion.records import Side, VehicleState
-from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.offline import flight_records
 from companion.sim.flight.world_draw import HeatTurn, NavigationError
 from companion.sim.flight.worlds import IDEAL
 from sitl_tests.loop.test_sim_autopilot import Peer
+from sitl_tests.still_plan import still_plan
 from tools.bench.world_flight import StruckPair, as_stamped, judged_shots
 from tools.bench.world_rows import STRUCK_S
 

@@ -18,7 +18,6 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect, Source
 from companion.params.files import load_airframe, shipped_airframes
 from companion.records import AutopilotParameter, ClockName, ImuBatch, Station, TimesyncReply, VehicleState
-from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
@@ -26,6 +25,7 @@ from companion.sim.flight.perturb import SensorErrors, TrueClock, draw_truth
 from companion.sim.flight.sensors import corrupted, drifting, limited, lowpassed, on_wire, send_times
 from companion.sim.flight.tables import write_csv
 from companion.sim.vehicle.wire import FrameSender, inertial_format, payloads, stamped
+from sitl_tests.still_plan import still_plan
 
 
 @pytest.fixture(scope="module")

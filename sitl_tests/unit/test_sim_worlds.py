@@ -14,7 +14,7 @@ from companion.core.wing.lowpass import Biquad
 from companion.params.airframe import Sensor
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
-from companion.sim.flight.aircraft import airspeed, circuit_plan, lift_share, still_plan
+from companion.sim.flight.aircraft import airspeed, circuit_plan, lift_share
 from companion.sim.flight.flight import build_flight, undisturbed
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.sensors import BACKEND_HZ, lowpassed
@@ -22,6 +22,7 @@ from companion.sim.flight.vibration import SensorDisturbance, ShaftTurns, Statio
 from companion.sim.flight.world_draw import gusty
 from companion.sim.flight.worlds import FAIR, IDEAL, ROUGH, TONES, WORLDS, Conditions, LensResiduals
 from companion.units import GRAVITY_MPS2
+from sitl_tests.still_plan import still_plan
 
 SENSOR: Sensor = load_airframe("nadir-2m").left
 SECONDS = 20.0

@@ -140,11 +140,6 @@ def circuit_plan(duration_s: float) -> FlightPlan:
     )
 
 
-def still_plan(duration_s: float) -> FlightPlan:
-    """Straight and level at 60 m without any wobble, for closed forms."""
-    return FlightPlan(duration_s, 22.0, 0.0, (AltitudeStep(0.0, 60.0),), (), (), 0.0, 0.0, 0.0, 0.0)
-
-
 def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats, Floats]:
     """Compute the rigid columns of the truth's knots and their derivatives; the modal columns stay zero.
 

@@ -45,14 +45,6 @@ class LoadSpectrum:
     gain_in: Floats
     gain_out: Floats
 
-    def density(self, frequency_hz: Floats) -> Floats:
-        """Two-sided power spectral density per Hz at each frequency, (k,)."""
-        if not len(self.drift):
-            return np.ones_like(frequency_hz)
-        s = 2j * np.pi * np.asarray(frequency_hz)[:, None, None]
-        response = np.linalg.solve(s * np.eye(len(self.drift)) - self.drift, self.gain_in[:, None])
-        return np.asarray(np.abs(response[:, :, 0] @ self.gain_out) ** 2)
-
     def draw(self, rng: np.random.Generator, count: int, step_s: float) -> Floats:
         """Samples (count,) at a uniform step, from the stationary start.
 
