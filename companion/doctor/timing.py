@@ -16,7 +16,6 @@ from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5  # chosen: a filter's cut-off over the mode's frequency: nearer ones turn and damp it
 _GOOD_BOUND_NS = 2_000_000  # of a clock, above which a note is given (choice)
-_ENOUGH = 0.75  # of the rate asked for: below, the stream does not come as set (choice)
 
 
 def check_rates(evidence: Evidence) -> Iterator[Finding]:

@@ -78,7 +78,6 @@ class InertialLoop:
     status: str = ""
     next_tick_ns: int = 0
     errors: RateLimiter = field(default_factory=lambda: RateLimiter(_SECOND_NS))
-    outputs: list[Record] = field(default_factory=list)
     pace: TickPace = field(default_factory=TickPace)
     overloads: dict[str, str] = field(default_factory=dict)
 
