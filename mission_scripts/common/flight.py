@@ -113,12 +113,7 @@ class Flight:
     # ------------------------------------------------------------------------------------------ waiting
 
     def wait(
-        self,
-        what: str,
-        until: Callable[[], bool],
-        timeout_s: float,
-        tell: Callable[[], str] | None = None,
-        look_s: float = _LOOK_S,
+        self, what: str, until: Callable[[], bool], timeout_s: float, tell: Callable[[], str] | None = None
     ) -> None:
         """Wait under guard; a line every few seconds.
 
@@ -138,12 +133,7 @@ class Flight:
             if now_s - reported_s >= _LINE_S:
                 reported_s = now_s
                 self.say(f"{what}: {tell() if tell else self.where()}")
-            time.sleep(look_s)
-
-    def pause(self, seconds: float) -> None:
-        """Wait under guard."""
-        ends_s = time.monotonic() + seconds
-        self.wait("", lambda: time.monotonic() >= ends_s, seconds + 1.0, look_s=0.02)
+            time.sleep(_LOOK_S)
 
     def where(self) -> str:
         """Height, airspeed and charge in words."""
