@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
-from tools.reference.discretise import averages, riccati, stacked, steady_errors
+from tools.reference.discretise import Discrete, averages, riccati, stacked
 from tools.reference.load import chain, intensity
 from tools.reference.single_tip import ACCEL_DENSITY, GYRO_DENSITY, SLOPE_RADPM, averaged, gust_density, held
 from tools.reference.spec import DRYDEN, FIVE_TWENTY, GRAVITY_MPS2, WHITE, ModeSpec
@@ -20,6 +21,21 @@ TABLE = {
     (10.0, 0.03, 0.002, True): {"z": (7.9, 4.0, 0.16), "zp": (4.0, 2.8, 0.11), "zyp": (3.5, 2.5, 0.10)},
 }
 ROWS = [(key, axes, figures) for key, row in TABLE.items() for axes, figures in row.items()]
+
+
+def steady_errors(step: Discrete, lag_steps: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the prediction and of the estimate ``lag_steps`` later (None: with all data to come)."""
+    P = riccati(step)
+    innovation = np.linalg.inv(step.H @ P @ step.H.T + step.R)
+    closed = step.F - (step.F @ P @ step.H.T + step.S) @ innovation @ step.H
+    gain = step.H.T @ innovation @ step.H
+    if lag_steps is None:
+        information = scipy.linalg.solve_discrete_lyapunov(closed.T, gain)
+        return P, P - P @ information @ P
+    information = np.zeros_like(P)
+    for _ in range(lag_steps):
+        information = gain + closed.T @ information @ closed
+    return P, P - P @ information @ P
 
 
 def _percent(step, rms_m: float, lag_steps: int | None) -> tuple[float, float]:

@@ -82,18 +82,3 @@ def riccati(step: Discrete) -> Floats:
         if done:
             break
     return X
-
-
-def steady_errors(step: Discrete, lag_steps: int | None) -> tuple[Floats, Floats]:
-    """Covariance of the prediction and of the estimate ``lag_steps`` later (None: with all data to come)."""
-    P = riccati(step)
-    innovation = np.linalg.inv(step.H @ P @ step.H.T + step.R)
-    closed = step.F - (step.F @ P @ step.H.T + step.S) @ innovation @ step.H
-    gain = step.H.T @ innovation @ step.H
-    if lag_steps is None:
-        information = scipy.linalg.solve_discrete_lyapunov(closed.T, gain)
-        return P, P - P @ information @ P
-    information = np.zeros_like(P)
-    for _ in range(lag_steps):
-        information = gain + closed.T @ information @ closed
-    return P, P - P @ information @ P
