@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.core.containment import contained
-from companion.core.pipeline import PipelineState, start
+from companion.core.pipeline import start
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -152,17 +152,9 @@ def _chosen(batch: ImuBatch, chosen: Bools) -> ImuBatch | None:
     return dataclasses.replace(batch, t_ns=t_ns, values=batch.values[chosen], received_host_ns=arrived_ns)
 
 
-def drive(
-    inputs: Iterable[Record],
-    airframe: Airframe,
-    settings: Settings,
-    hub: ClockName | None,
-    each: Callable[[PipelineState, Record], None] | None = None,
-) -> Iterator[Record]:
-    """Step through the inputs; yield every output. ``each`` sees the state after each input."""
+def drive(inputs: Iterable[Record], airframe: Airframe, settings: Settings, hub: ClockName | None) -> Iterator[Record]:
+    """Step through the inputs; yield every output."""
     state = start(airframe, settings, hub)
     for record in inputs:
         state, outputs = contained(state, record)
         yield from outputs
-        if each is not None:
-            each(state, record)

@@ -67,12 +67,12 @@ class InertialStream:
     t_ns: Ints
     values: Floats
 
-    def batches(self, period_ns: int = BATCH_NS) -> Iterator[ImuBatch]:
+    def batches(self) -> Iterator[ImuBatch]:
         """Cut into batches as a link would have delivered them: received at the newest stamp so far."""
         if self.t_ns.size == 0:
             return
         newest = np.maximum.accumulate(self.t_ns)
-        cuts = np.flatnonzero(np.diff(newest // period_ns)) + 1
+        cuts = np.flatnonzero(np.diff(newest // BATCH_NS)) + 1
         edges = [0, *cuts.tolist(), self.t_ns.size]
         for start, stop in itertools.pairwise(edges):
             yield ImuBatch(
