@@ -20,7 +20,7 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapping import parse_mapping
 from companion.errors import SpanwiseError
-from companion.params.files import load_airframe
+from companion.params.files import dump_airframe, load_airframe
 from companion.records import ImuBatch, Side
 from sitl_tests.fuzz import corpora, mutators, structured
 from sitl_tests.fuzz.mutators import Mutator
@@ -47,7 +47,7 @@ def read_all(recording: Any) -> None:
     for record in itertools.islice(recording.records(), _MOST_RECORDS):
         if isinstance(record, ImuBatch) and record.values.shape != (record.t_ns.size, 6):
             raise Violation(f"a batch of {record.t_ns.size} stamps has values of {record.values.shape}")
-    _ = recording.airframe_text
+    dump_airframe(recording.airframe)
     for notice in recording.notices:
         if not notice.text:
             raise Violation("a notice without words")
