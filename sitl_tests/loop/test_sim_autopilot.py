@@ -22,7 +22,6 @@ from companion.records import ClockName, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.worlds import IDEAL
 from companion.sim.vehicle.faults import Faults
-from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.world import VehicleLink, World, WorldOptions, serve, serve_new
 
 COMPANION = 191
@@ -299,11 +298,6 @@ def test_the_rangefinder_is_repeated_to_everyone_while_it_is_alive(flight: Fligh
     assert len(peer.of("RANGEFINDER")) == count, "half a second of silence clears it"
 
 
-def nearest_m(proximity: Proximity, boot_ns: int) -> dict[int, float]:
-    """Obstacles that are believed now: bearing in degrees to distance."""
-    return proximity._nearest_m if proximity.alive(boot_ns) else {}
-
-
 def test_obstacles_are_used_by_a_vehicle_with_proximity_and_forgotten(flight: Flight) -> None:
     peer = Peer(flight, parameters={"PRX1_TYPE": 2})
     proximity = peer.world.autopilot.received.proximity
@@ -312,14 +306,14 @@ def test_obstacles_are_used_by_a_vehicle_with_proximity_and_forgotten(flight: Fl
     distances[0], distances[18], distances[36], distances[54] = 1500, 0, 20001, 800
     peer.send(mavlink.MAVLink_obstacle_distance_message(1, 0, distances, 5, 400, 20000, 5.0, 0.0, 12))
     peer.run(0.1)
-    assert nearest_m(proximity, peer.now_ns) == {0: 15.0, 270: 8.0}
+    assert proximity.nearest_m(peer.now_ns) == {0: 15.0, 270: 8.0}
     peer.run(0.6)
-    assert nearest_m(proximity, peer.now_ns) == {}
+    assert proximity.nearest_m(peer.now_ns) == {}
     for stamp, x, y in ((10, 9.0, 0.0), (10, 0.0, 7.0), (20, 300.0, 0.0)):
-        assert nearest_m(proximity, peer.now_ns) == {}, "a look acts when the next one begins"
+        assert proximity.nearest_m(peer.now_ns) == {}, "a look acts when the next one begins"
         peer.send(mavlink.MAVLink_obstacle_distance_3d_message(stamp, 0, 12, 65535, x, y, 0.0, 4.0, 200.0))
         peer.run(0.05)
-    assert nearest_m(proximity, peer.now_ns) == {0: 9.0, 90: 7.0}
+    assert proximity.nearest_m(peer.now_ns) == {0: 9.0, 90: 7.0}
     assert Peer(flight).world.autopilot.received.proximity is None
 
 

@@ -27,6 +27,10 @@ class Proximity:
         """Whether something was heard lately, which is what the arming check asks."""
         return self._heard_ns is not None and boot_ns - self._heard_ns <= _TIMEOUT_NS
 
+    def nearest_m(self, boot_ns: int) -> dict[int, float]:
+        """Obstacles that are believed now: bearing in degrees to distance."""
+        return dict(self._nearest_m) if self.alive(boot_ns) else {}
+
     def circle(self, message: Any, boot_ns: int) -> None:
         """Take OBSTACLE_DISTANCE: 0, 65535 and what lies beyond the largest distance are no data; frame is ignored."""
         step = message.increment_f or message.increment
