@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.core.tracking.tracker import WingTracker
+from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Station
 from tools.bench.accuracy_belief import Perturbation, believed_airframe
@@ -15,7 +16,7 @@ from tools.bench.accuracy_cases import Cell, cells
 from tools.reference.imu import EPOCH_HOST_NS, chunks, samples
 from tools.reference.rigid import LEVEL
 from tools.reference.spec import DRYDEN, ModeSpec, SensorSpec, TruthSpec
-from tools.reference.truth import simulate
+from tools.reference.truth import TruthRun, simulate
 
 
 def ten_hertz() -> Cell:
@@ -35,6 +36,16 @@ def without_errors(spec: TruthSpec) -> TruthSpec:
     return dataclasses.replace(spec, trim_sigma_m=0.0, bend_per_g_sigma_m=0.0, **sensors)
 
 
+def driven(run: TruthRun, airframe: Airframe) -> WingTracker:
+    """The tracker after a whole run, of which it takes 50 ms at a time."""
+    tracker = WingTracker(airframe, Settings())
+    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, run.spec.duration_s, 0.05).tolist()):
+        for batch in batches:
+            tracker.add(batch)
+        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    return tracker
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("slope_sigma_ratio", [0.0, 0.01])
 def test_slope_factors_do_not_slide_with_the_scales(slope_sigma_ratio: float) -> None:
@@ -42,11 +53,7 @@ def test_slope_factors_do_not_slide_with_the_scales(slope_sigma_ratio: float) ->
     cell = ten_hertz()
     truth = dataclasses.replace(without_errors(cell.spec), slope_sigma_ratio=slope_sigma_ratio)
     run = simulate(truth, (cell.seeds[0],))
-    tracker = WingTracker(believed_airframe(cell.spec, cell.seeds[0], cell.perturbation), Settings())
-    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, truth.duration_s, 0.05).tolist()):
-        for batch in batches:
-            tracker.add(batch)
-        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    tracker = driven(run, believed_airframe(cell.spec, cell.seeds[0], cell.perturbation))
     layout, kalman = tracker._layout, tracker._kalman
     for mode, name in enumerate(("slope.symmetric", "slope.antisymmetric")):
         at = layout.bias_parameters.index(name)
@@ -63,11 +70,7 @@ def test_a_wing_that_stands_still_teaches_no_scale() -> None:
     modes = {at: dataclasses.replace(getattr(cell.spec, at), rms_m=1e-9) for at in ("symmetric", "antisymmetric")}
     truth = dataclasses.replace(without_errors(cell.spec), motion=LEVEL, slope_sigma_ratio=0.0, **modes)
     run = simulate(truth, (cell.seeds[0],))
-    tracker = WingTracker(believed_airframe(cell.spec, cell.seeds[0], cell.perturbation), Settings())
-    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, truth.duration_s, 0.05).tolist()):
-        for batch in batches:
-            tracker.add(batch)
-        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    tracker = driven(run, believed_airframe(cell.spec, cell.seeds[0], cell.perturbation))
     learned = tracker.bias_parameters()
     for name in ("slope.symmetric", "slope.antisymmetric", "left.kp", "right.kp", "left.kz", "right.kz"):
         error, sigma = learned[name]
@@ -85,11 +88,7 @@ def test_noise_of_the_roll_acceleration_is_no_common_bias(seed: int) -> None:
     unbiased = {at: dataclasses.replace(getattr(belief, at), accel_bias_sigma_mps2=0.0) for at in places}
     truth = dataclasses.replace(belief, **unbiased)
     run = simulate(truth, (seed,))
-    tracker = WingTracker(believed_airframe(belief, seed, Perturbation()), Settings())
-    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, truth.duration_s, 0.05).tolist()):
-        for batch in batches:
-            tracker.add(batch)
-        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    tracker = driven(run, believed_airframe(belief, seed, Perturbation()))
     bias_mps2, sigma_mps2 = tracker.bias_parameters()["bz"]
     assert abs(bias_mps2) < 3.0 * sigma_mps2
 
@@ -99,11 +98,7 @@ def test_stamp_offsets_are_where_they_are_said_to_be() -> None:
     """Estimated from a Taylor series, both were off by 12 to 16 sigma, and by 75 with a cleaner derivative."""
     cell = ten_hertz()
     run = simulate(cell.spec, (cell.seeds[0],))
-    tracker = WingTracker(believed_airframe(cell.spec, cell.seeds[0], cell.perturbation), Settings())
-    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, cell.spec.duration_s, 0.05).tolist()):
-        for batch in batches:
-            tracker.add(batch)
-        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    tracker = driven(run, believed_airframe(cell.spec, cell.seeds[0], cell.perturbation))
     layout, kalman = tracker._layout, tracker._kalman
     for place in ("left", "right"):
         at = layout.bias_parameters.index(f"{place}.tau")
