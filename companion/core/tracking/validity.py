@@ -21,8 +21,8 @@ _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
-# chosen, mean square rate of a mode over its variance given the sensors: 1 where nothing moves, some 30 where a tip
-# moves by 20 um rms (nadir-2m); below the first no mode is seen to move, above the second one is
+# chosen, mean square rate of a mode over its variance given the sensors, 1 where nothing moves: below the first no mode
+# is seen to move, above the second one is
 _HIDDEN_RATIO, _SHOWN_RATIO = 3.0, 9.0
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 _MOST_REFUSED = 20  # chosen, of fits in a row, once a second: none of their history is that of the last that was taken
