@@ -299,7 +299,7 @@ def _log_likelihood(rows: EquationRows, delay_s: float) -> float:
     force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
     columns, _, weight, _ = _weighted(rows, delay_s)
     left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
-    return profile_log_likelihood(left, weight)
+    return profile_log_likelihood(left**2, weight**2)
 
 
 def _weighted(rows: EquationRows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:

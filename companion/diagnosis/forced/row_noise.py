@@ -49,10 +49,12 @@ def dynamic_stiffness(
 
 def beside_noise_of_force(weight: Floats, residual: Floats) -> tuple[Floats, float]:
     """The response's weight (n,) and the force's together, in the ratio that makes the residual (n,) likeliest."""
-    together = [(np.hypot(weight, ratio), ratio) for ratio in _FORCE_NOISES]
-    return max(together, key=lambda each: profile_log_likelihood(residual, each[0]))
+    together = [(weight**2 + ratio**2, ratio) for ratio in _FORCE_NOISES]
+    squares = residual**2
+    variance, ratio = max(together, key=lambda each: profile_log_likelihood(squares, each[0]))
+    return np.sqrt(variance), ratio
 
 
-def profile_log_likelihood(residual: Floats, weight: Floats) -> float:
-    """Log likelihood of normal residuals (n,) with relative standard deviations (n,), at its best common factor."""
-    return float(-0.5 * len(residual) * np.log(np.mean((residual / weight) ** 2)) - np.log(weight).sum())
+def profile_log_likelihood(squares: Floats, variance: Floats) -> float:
+    """Log likelihood of normal residuals' squares (n,) with relative variances (n,), at its best common factor."""
+    return float(-0.5 * (len(squares) * np.log(np.mean(squares / variance)) + np.log(variance).sum()))

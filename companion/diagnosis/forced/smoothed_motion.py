@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 from scipy.linalg import solveh_banded
 
 from companion.diagnosis.forced.equation_rows import LAWS, law_slopes
@@ -73,17 +72,18 @@ class _Smoother:
     """Steps of Gauss and Newton at any variance of the force's noise."""
 
     def __init__(self, observed: Observed, start: Floats, linear: Floats, laws: Floats, var_e: float) -> None:
-        count = len(start)
-        self._inner, self._rate = _stencil(_PLACE, count), _stencil(_SLOPE / observed.step_s, count)
-        bent = _stencil(_BEND / observed.step_s**2, count)
-        within = (observed.at >= _REACH) & (observed.at < count - _REACH)
-        self._observe = (self._inner, self._rate, bent)[observed.kind][observed.at[within] - _REACH]
-        self._y, self._force = observed.response[within], observed.force[_REACH:-_REACH]
-        self._linear = linear[0] * bent + linear[1] * self._rate + linear[2] * self._inner
-        ends = np.zeros(count)  # the first and last samples, which few differences reach, stay near their start
+        self._rate, bend = _SLOPE / observed.step_s, _BEND / observed.step_s**2
+        self._observe = (_PLACE, self._rate, bend)[observed.kind]
+        self._y, self._weight = np.zeros((2, len(start)))
+        self._y[observed.at], self._weight[observed.at] = observed.response, 1.0 / var_e
+        self._y, self._weight = self._y[_REACH:-_REACH], self._weight[_REACH:-_REACH]
+        self._force = observed.force[_REACH:-_REACH]
+        self._linear = linear[0] * bend + linear[1] * self._rate + linear[2] * _PLACE
+        ends = np.zeros(len(start))  # the first and last samples, which few differences reach, stay near their start
         ends[: 2 * _REACH] = ends[-2 * _REACH :] = 1.0 / float(np.var(start))
-        self._start, self._ends, self._laws, self._var_e = start, ends, laws, var_e
-        self._ordinary = (self._observe.T @ self._observe) / var_e + sp.diags_array(ends)
+        self._start, self._ends, self._laws = start, ends, laws
+        self._ordinary = _normal(self._observe, self._weight)
+        self._ordinary[-1] += ends
 
     def settle(self, q: Floats, var_n: float) -> Floats | None:
         """Deflection (n,) after as many steps as it moves, None: it moves on."""
@@ -100,25 +100,41 @@ class _Smoother:
 
     def _step(self, q: Floats, var_n: float) -> Floats:
         """Change (n,) of a deflection, with the sensor's zero at its best."""
-        motion = q[_REACH:-_REACH], self._rate @ q
+        motion = q[_REACH:-_REACH], _differenced(self._rate, q)
         stiff, damp = np.tensordot(self._laws, law_slopes(*motion), (0, 1))
         bends = self._laws @ np.stack([law(*motion) for _, law in LAWS.values()])
-        left = self._force - self._linear @ q - bends
-        slope = self._linear + self._inner.multiply(stiff[:, None]) + self._rate.multiply(damp[:, None])
-        normal = (slope.T @ slope) / var_n + self._ordinary
-        upper = np.zeros((2 * _REACH + 1, len(q)))
-        for offset in range(2 * _REACH + 1):
-            upper[2 * _REACH - offset, offset:] = normal.diagonal(offset)
-        to_start = self._ends * (self._start - q)
-        gradient = (slope.T @ left) / var_n + self._observe.T @ (self._y - self._observe @ q) / self._var_e + to_start
-        beside = -np.asarray(slope.sum(axis=0)).ravel() / var_n
+        left = self._force - _differenced(self._linear, q) - bends
+        slope = self._linear[:, None] + np.outer(_PLACE, stiff) + np.outer(self._rate, damp)
+        weight = np.full(len(left), 1.0 / var_n)
+        upper = _normal(slope, weight) + self._ordinary
+        missed = self._weight * (self._y - _differenced(self._observe, q))
+        gradient = _transposed(slope, weight * left) + _transposed(self._observe, missed)
+        gradient += self._ends * (self._start - q)
+        beside = -_transposed(slope, weight)
         moved, by_zero = solveh_banded(upper, np.stack([gradient, beside], 1)).T
         zero = -(left.sum() / var_n + beside @ moved) / (len(left) / var_n - beside @ by_zero)
         return np.asarray(moved - zero * by_zero)
 
 
-def _stencil(row: Floats, count: int) -> sp.csr_array:
-    inner = count - 2 * _REACH
-    return sp.diags_array(
-        np.repeat(row[:, None], inner, axis=1), offsets=list(range(2 * _REACH + 1)), shape=(inner, count)
-    ).tocsr()
+def _differenced(stencil: Floats, q: Floats) -> Floats:
+    """Differences (n - 4,) of series (n,) by one stencil (5,) or by one for each of them (5, n - 4)."""
+    inner = len(q) - 2 * _REACH
+    return np.asarray(sum(factor * q[place : place + inner] for place, factor in enumerate(stencil)))
+
+
+def _transposed(stencil: Floats, values: Floats) -> Floats:
+    """Product (n,) of the transpose of such differences and values (n - 4,)."""
+    product = np.zeros(len(values) + 2 * _REACH)
+    for place, factor in enumerate(stencil):
+        product[place : place + len(values)] += factor * values
+    return product
+
+
+def _normal(stencil: Floats, weight: Floats) -> Floats:
+    """Upper diagonals (5, n), as LAPACK wants them, of D^T W D for differences D and weights (n - 4,)."""
+    upper = np.zeros((2 * _REACH + 1, len(weight) + 2 * _REACH))
+    for column, factor in enumerate(stencil):
+        weighted = factor * weight
+        for row in range(column + 1):
+            upper[2 * _REACH - column + row, column : column + len(weight)] += stencil[row] * weighted
+    return upper

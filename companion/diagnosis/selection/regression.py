@@ -154,9 +154,9 @@ class RegressionModel:
 
     def log_density(self, values: Floats, response: int) -> Floats:
         """Log density of each row of a response times the ratio of independent rows, (n,)."""
-        power = self.residual(values, response) ** 2
-        log_normal = -0.5 * power - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
-        return np.asarray(self.responses[response].independent_ratio * log_normal)
+        entry, noise = self.responses[response], self.noise(values, response)
+        power = ((entry.values - self.predicted(values, response)) / noise) ** 2
+        return np.asarray(entry.independent_ratio * (-0.5 * power - np.log(noise * math.sqrt(2.0 * np.pi))))
 
     def log_predictive(self, fitted: Fit[RegressionTerm, RegressionModel], response: int) -> Floats:
         """Log density of each row of a response that was not fitted, times the ratio of independent rows, (n,).
@@ -200,13 +200,6 @@ class RegressionModel:
             np.add.at(gradient, place, ratio * fitted * (r**2 - 1.0))
             np.add.at(information, (place, place), 2.0 * ratio * fitted**2)
         return Scores(self.log_likelihood(values), gradient, information, self)
-
-    def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
-        """Rows (m,) of every response as the model makes them by chance at a vector (p,)."""
-        return [
-            self.predicted(values, k) + self.noise(values, k) * rng.standard_normal(len(entry.values))
-            for k, entry in enumerate(self.responses)
-        ]
 
     def noise(self, values: Floats, response: int) -> Floats:
         """Standard deviation of each row of a response, (n,)."""
@@ -255,17 +248,15 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
     def checks(self, fitted: RegressionFit) -> list[Check]:
         """Neighbours along each response's order, and outliers, against draws of the model."""
         rng, model = np.random.default_rng(_SEED), fitted.state
-        drawn = [model.draw(fitted.values, rng) for _ in range(_DRAWS)]
+        drawn = [[rng.standard_normal(len(entry.values)) for entry in self.responses] for _ in range(_DRAWS)]
         tests = []
         for k, entry in enumerate(self.responses):
             white = model.residual(fitted.values, k)
             if len(white) < _FEWEST or float(np.mean(white**2)) < _ROUNDING:
                 continue
             order = np.argsort(entry.order, kind="stable")
-            spread = model.noise(fitted.values, k)
-            mean = model.predicted(fitted.values, k)
             real = _statistics(white[order])
-            table = np.stack([_statistics(((rows[k] - mean) / spread)[order]) for rows in drawn])
+            table = np.stack([_statistics(rows[k][order]) for rows in drawn])
             for name, value, chance in zip(("neighbours", "outliers"), real, table.T, strict=True):
                 tests.append(Check(f"{entry.name}: {name}", strength(float(value), chance), LIMIT))
         return sorted(tests, key=lambda entry: -abs(entry.z))
@@ -305,5 +296,6 @@ class Regressions(Recordings[RegressionTerm, RegressionModel]):
 
 
 def _statistics(white: Floats) -> Floats:
-    power = float(np.mean(white**2))
-    return np.array([float(np.mean(white[1:] * white[:-1])) / power, math.log(float(np.mean(white**4)) / power**2)])
+    squares = white * white
+    power = float(np.mean(squares))
+    return np.array([float(np.mean(white[1:] * white[:-1])) / power, math.log(float(np.mean(squares**2)) / power**2)])
