@@ -90,6 +90,7 @@ def test_a_tick_that_raises_costs_seconds_and_a_replay_repeats_it(
     assert replay_report["rejected"][str(Reject.INTERNAL_ERROR)] == 1
 
 
+@pytest.mark.slow
 def test_ticks_that_go_on_raising_are_told_once_a_second_and_not_called_active(monkeypatch: pytest.MonkeyPatch) -> None:
     raised = raise_between(monkeypatch, 2.0, 3.5)
     run = SimulatedService(build_flight(AIRFRAME, 1, 6.0))

@@ -269,6 +269,7 @@ def record_on_a_full_disk(folder: Path, room: int = 0) -> tuple[int, float]:
     return len(said), longest_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [0, 3])
 def test_a_disk_that_fills_up_is_told_and_the_next_file_is_tried(room: int, tmp_path: Path) -> None:
     """A written file stays, an empty one does not, producers never wait, and the last one ends it."""

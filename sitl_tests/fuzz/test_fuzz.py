@@ -79,17 +79,20 @@ class Broken(Trap):
         raise IndexError(data.hex())
 
 
+@pytest.mark.slow
 def test_an_exception_is_a_finding_and_its_case_can_be_made_again() -> None:
     result = fuzz(Broken, seed=3, cases=2)
     assert [finding.number for finding in result.findings] == [0, 1]
     assert make_case(Broken(), 3, 1).hex() in result.findings[1].problem
 
 
+@pytest.mark.slow
 def test_more_than_a_gigabyte_is_a_finding() -> None:
     (finding,) = fuzz(Greedy, seed=1, cases=1).findings
     assert "MemoryError" in finding.problem
 
 
+@pytest.mark.slow
 def test_an_alarm_that_is_swallowed_is_a_finding() -> None:
     """An alarm within a compiled loop is a SystemError, which the service contained."""
     (finding,) = fuzz(Swallowing, seed=1, cases=1).findings
@@ -103,6 +106,7 @@ def test_a_contained_exception_is_a_finding() -> None:
         check_contained([refused, Notice(3, "internal error: MatchSet refused: IndexError: 7 (ranging.py:5)", 5)])
 
 
+@pytest.mark.slow
 def test_more_than_the_time_limit_is_a_finding() -> None:
     """Ten seconds where a target says nothing else, as for every reader."""
     (finding,) = fuzz(Endless, seed=1, cases=1).findings

@@ -156,6 +156,7 @@ def test_sizes_in_a_chunk_are_held_against_what_is_there(tmp_path: Path, size: i
         assert offset == 36 or any("damaged and left out" in notice.text for notice in recording.notices)
 
 
+@pytest.mark.slow
 def test_a_damaged_message_in_a_whole_chunk_is_left_out_and_told(tmp_path: Path) -> None:
     from sitl_tests.fuzz.structured import mcap_record
 
@@ -186,6 +187,7 @@ def test_a_matlab_file_with_an_unknown_kind_of_number_is_refused(tmp_path: Path,
         read_matlab(tmp_path / "a.mat")
 
 
+@pytest.mark.slow
 def test_a_matlab_bomb_is_refused(tmp_path: Path) -> None:
     import zlib
 

@@ -35,6 +35,7 @@ def frame(name: str, value: float, packer: Any) -> bytes:
     return bytes(mavlink.MAVLink_param_value_message(name.encode(), value, kind, 900, 7).pack(packer))
 
 
+@pytest.mark.slow
 def test_no_parameter_of_the_vehicle_stops_the_ranges_and_each_is_said_once() -> None:
     run = SimulatedService(build_flight(load_airframe("nadir-2m"), 1, 15.0))
     packer = mavlink.MAVLink(None, 1, 1)

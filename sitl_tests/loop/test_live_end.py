@@ -106,6 +106,7 @@ with watched(Path(sys.argv[1]), ViewKind.LIVE) as (session, client, port):
 """
 
 
+@pytest.mark.slow
 def test_a_browser_that_is_closed_prints_nothing(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", QUIET, str(tmp_path)], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -131,6 +132,7 @@ def replay_words(recording: Path, port: int) -> list[str]:
     return [sys.executable, "-c", command]
 
 
+@pytest.mark.slow
 def test_on_a_terminal_the_page_stays_until_ctrl_c(recording: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     ours, theirs = pty.openpty()
@@ -152,6 +154,7 @@ def test_on_a_terminal_the_page_stays_until_ctrl_c(recording: Path) -> None:
     os.close(ours)
 
 
+@pytest.mark.slow
 def test_without_a_terminal_a_replay_ends_by_itself(recording: Path) -> None:
     done = subprocess.run(
         replay_words(recording, free_port(socket.SOCK_STREAM)), cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},

@@ -302,6 +302,7 @@ def test_a_server_that_cannot_start_says_so(tmp_path: Path) -> None:
         start_camera_server(_config(tmp_path / "missing", time.monotonic_ns()))
 
 
+@pytest.mark.slow
 def test_a_slow_client_holds_up_images_but_not_the_shutters(server: CameraServer) -> None:
     line, pair = SimTriggerLine(server.config.line_path), SimCameraPair(server.config.frames_path)
     server.step()

@@ -182,6 +182,7 @@ def test_agreed_fixes_are_set_and_the_rest_is_left(flight: Flight) -> None:
     assert any("reboot" in text and "SCHED_LOOP_RATE" in text for text in said)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_the_vehicle_does_not_take_is_said(flight: Flight) -> None:
     ward = Ward(flight)
     ward.listen()

@@ -52,6 +52,7 @@ def test_trim_balances_weight_drag_and_thrust(airspeed_mps: float, climb_rad: fl
     assert np.abs(path[:, 1] - airspeed_mps * math.sin(climb_rad)).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("moment_alpha", "tolerance"), [(-0.9, 0.06), (-20.0, 0.05)])
 def test_phugoid_period(moment_alpha: float, tolerance: float) -> None:
     """Lanchester's ``pi sqrt(2) V / g``, longer by the root of manoeuvre margin over static margin.

@@ -111,6 +111,7 @@ def test_nadir_disparity_with_true_extrinsics_is_unbiased_to_a_hundredth_of_a_pi
     assert np.all(np.abs(error) < 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_m", _distances(4.0, 100.0, between=(12.0, 30.0)))
 def test_forward_disparity_on_a_board_is_unbiased_too(distance_m: float) -> None:
     wide = board(np.array([distance_m, 0.0, -60.0]), 0.0, (1.2 * distance_m + 4.0, distance_m), 5)
@@ -356,6 +357,7 @@ def test_a_bent_lens_has_all_pixels_of_a_surface_in_its_window(
     assert np.all((pixels[inside] >= first) & (pixels[inside] < first + np.array([window.width, window.height])))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @example(centre=(0.0, 5.25, 11.0), turns=(0.0, 1.0, 0.0), half=(3.0, 1.0))  # in the margin alone
 @given(

@@ -46,6 +46,7 @@ def test_a_ground_vibration_test_says_that_run_order_and_sensor_position_are_con
     assert any("sensor position of run 1 after run 10" in line for line in plain["advice"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "gaps", "longest_ms"), [("sample.ulg", 8, 64.8), ("sample_log_small.ulg", 1, 161.3)])
 def test_a_log_without_wing_sensors_gets_its_gaps_and_jitter_told_and_nothing_else(
     tmp_path: Path, name: str, gaps: int, longest_ms: float
@@ -84,6 +85,7 @@ def test_a_beam_s_frequency_follows_the_roller_and_not_time(tmp_path: Path) -> N
     assert plain["residual"]["failed"]
 
 
+@pytest.mark.slow
 def test_a_flutter_rig_s_limit_cycles_are_named_and_foretold(tmp_path: Path) -> None:
     plain = diagnose(tmp_path, needed("flutter-rig"), "--mapping", "flutter-rig")
     causes = {cause["name"]: cause for cause in plain["causes"]}

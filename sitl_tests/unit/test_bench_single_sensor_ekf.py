@@ -86,6 +86,7 @@ def test_frequency_is_where_the_support_has_put_it() -> None:
         assert abs(answer.frequency_hz - float(_frequency_hz(np.array(at_s)))) < 3 * answer.frequency_sigma_hz
 
 
+@pytest.mark.slow
 def test_errors_stay_within_the_sigma_that_is_given() -> None:
     """At least 68 and 95 of a hundred once the first 50 ms after a blow are over: nothing foretells a blow."""
     _, q, v = _truth()

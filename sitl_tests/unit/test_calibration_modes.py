@@ -129,6 +129,7 @@ def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
     assert first.factors.twist_factor_radpm == pytest.approx(0.3 * (1.2 - 0.4) / lift, rel=0.01)
 
 
+@pytest.mark.slow
 def test_cameras_inside_of_the_sensors_get_their_own_slope_and_deflection() -> None:
     """Relative to the section at 0.4 m, y^3 - 0.4^3 and its slope 3 y^2: sensors at 1.0 m, cameras at 0.8 m."""
     base = load_airframe("nadir-2m")

@@ -202,6 +202,7 @@ def test_a_view_whose_images_do_not_belong_together_or_show_no_board_is_refused_
         calibrate_rig(views, CHESS, SIZE)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_view_is_refused_by_name() -> None:
     first, second = _pairs("charuco", 2)
     views, rejected = find_views([first, ("copy", *first[1:]), second, ("frozen", second[1], first[2])], CHARUCO)
@@ -210,6 +211,7 @@ def test_a_copy_of_a_view_is_refused_by_name() -> None:
     assert "bit for bit" in rejected["frozen"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.01, 0.02, 0.03])
 def test_a_board_that_was_not_tilted_is_refused(tilt_rad: float) -> None:
     for seed in range(3):
@@ -368,6 +370,7 @@ def test_a_refused_rig_is_not_called_usable_first_and_leaves_no_report(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
 def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_it_has(kind: str) -> None:
     """Points 60 m ahead, seen by the true rig and ranged by the calibrated one."""

@@ -57,6 +57,7 @@ def figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return drawn[0]
 
 
+@pytest.mark.slow
 def test_the_figure_that_counts_is_written_on_the_picture(figure: Any) -> None:
     title = figure.get_suptitle()
     for words in ("98.7 % of the toe's error removed", "18.0 m", "0.23 m", "300 of"):

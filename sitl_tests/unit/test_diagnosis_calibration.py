@@ -121,6 +121,7 @@ def test_a_line_between_two_bins_is_as_strong_as_one_on_a_bin() -> None:
     assert tails[1] == pytest.approx(tails[0], rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_strongest_line_of_noise_has_the_chance_that_it_says() -> None:
     """A chance below e^-1 in a third of all recordings at most: of 30, 9.2 +- 2.5."""
     assert 2 <= sum(line_of(drawn(100 + seed)).log_tail < -1.0 for seed in range(30)) <= 16

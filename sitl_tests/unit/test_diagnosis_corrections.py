@@ -37,6 +37,7 @@ def test_a_warp_that_grows_a_little_changes_a_reading_by_its_slope_alone() -> No
     assert np.std(change - expected) < 0.01 * np.std(expected)
 
 
+@pytest.mark.slow
 def test_columns_of_a_clock_do_not_depend_on_the_step_of_their_difference(model: FlightModel) -> None:
     kind = catalogue()["clock-skew"]
     deviations = np.zeros(len(model.belief.nuisances))

@@ -89,6 +89,7 @@ def test_a_cubic_spring_is_found_with_its_coefficient(hardening: ForcedRecording
     assert plain["linear"]["after"]["damping_ratio"] == pytest.approx(ZETA, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.05, 0.3])
 def test_dry_friction_behind_noise_is_no_drag_that_drives(ratio: float) -> None:
     """The sign of a noisy speed is smooth: a negative quadratic damping stood beside friction, and in its place."""
@@ -102,6 +103,7 @@ def test_dry_friction_behind_noise_is_no_drag_that_drives(ratio: float) -> None:
         assert coefficient["value"] == pytest.approx(0.3 * LEVEL, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_linear_oscillator_gets_no_name(seed: int) -> None:
     plain = as_json(diagnose_forced([driven(seed, 0.0)], BAND_HZ, 3, lambda _what, _ratio: None))
@@ -110,6 +112,7 @@ def test_a_linear_oscillator_gets_no_name(seed: int) -> None:
     assert plain["linear"]["before"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.005, 0.05])
 def test_noise_of_the_force_is_no_law(hardening: ForcedRecording, ratio: float) -> None:
     """The response alone was taken for noisy, which gave the resonance too much weight."""
@@ -120,6 +123,7 @@ def test_noise_of_the_force_is_no_law(hardening: ForcedRecording, ratio: float) 
         assert plain["verdict"] == verdict
 
 
+@pytest.mark.slow
 def test_a_damper_of_squared_speed_is_explained() -> None:
     plain = as_json(diagnose_forced([driven(4, 0.0, 1e-3, drag=1e-4)], BAND_HZ, 3, lambda _what, _ratio: None))
     assert plain["verdict"] == "explained"
@@ -129,6 +133,7 @@ def test_a_damper_of_squared_speed_is_explained() -> None:
     assert abs(coefficient["value"] - 1e-4) < 4.0 * coefficient["sigma"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", ["lost rows", "gap", "wild sample"])
 def test_a_spring_is_told_in_spite_of_losses(hardening: ForcedRecording, spoil: str) -> None:
     rows, response = np.ones(COUNT, dtype=bool), hardening.response.copy()
@@ -177,6 +182,7 @@ def test_a_force_of_the_wrong_sign_is_refused(hardening: ForcedRecording) -> Non
         diagnose_forced([turned], BAND_HZ, 3, lambda _what, _ratio: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [-1, 2])
 def test_a_force_that_comes_late_is_turned_back(hardening: ForcedRecording, rows: int) -> None:
     """Two rows made the coefficient four times too small, with a verdict of explained."""
@@ -211,6 +217,7 @@ def test_recordings_of_different_rates_are_refused_with_their_rates(hardening: F
         diagnose_forced([hardening, slower], BAND_HZ, 3, lambda _what, _ratio: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [ResponseKind.VELOCITY, ResponseKind.ACCELERATION])
 def test_a_velocity_or_an_acceleration_is_integrated_and_never_passes_for_a_displacement(kind: ResponseKind) -> None:
     entry = driven(2, 0.0, noise=0.0)
@@ -234,6 +241,7 @@ def _with_noise(entry: ForcedRecording, ratio: float, seed: int) -> ForcedRecord
     return dataclasses.replace(entry, response=entry.response + noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "within"), [(0.01, 0.03), (0.05, 0.03), (0.3, 0.2)])
 def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float, within: float) -> None:
     """With rows of nothing but noise the coefficient came out 6 to 22 % too small, by up to 27 sigma."""
@@ -245,6 +253,7 @@ def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float, withi
     assert coefficient["value"] == pytest.approx(4.0, rel=within)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.01, 0.1, 0.3])
 def test_noise_of_the_response_draws_no_coefficient_to_zero(hardening: ForcedRecording, ratio: float) -> None:
     """With 30 % a stiffness of 0.3 instead of 1 and a cubic of 1.5 instead of 4 came out.
@@ -272,6 +281,7 @@ def test_noise_of_the_response_draws_no_coefficient_to_zero(hardening: ForcedRec
     assert np.sqrt(np.mean(np.square(pulls))) < 1.8  # 1 % of a chi of four
 
 
+@pytest.mark.slow
 def test_coefficients_that_are_not_freed_of_noise_are_noted(hardening: ForcedRecording) -> None:
     judged = diagnose_forced([hardening], BAND_HZ, 3, lambda _what, _ratio: None)
     assert not as_json(judged)["notes"]
@@ -280,6 +290,7 @@ def test_coefficients_that_are_not_freed_of_noise_are_noted(hardening: ForcedRec
     assert "may lie beyond their intervals" in note
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "noted"), [(0.1, False), (1.0, True)])
 def test_an_equation_that_leaves_most_of_the_force_is_noted(ratio: float, noted: bool) -> None:
     """With noise as large as the response, a stiffness of 0.07 instead of 1 was adequate without a word."""
@@ -293,6 +304,7 @@ def swept() -> ForcedRecording:
     return driven(3, 4.0, noise=0.0, swept_hz=(20.0, 150.0))
 
 
+@pytest.mark.slow
 def test_a_response_that_is_cut_off_above_the_band_does_not_show_its_noise_there(swept: ForcedRecording) -> None:
     """Beside four times the rate all bins passed for answered: outliers of 19 sigma, and no law was named."""
     force, response = (4.0 * np.fft.irfft(np.fft.rfft(values), 4 * COUNT) for values in (swept.force, swept.response))
@@ -304,6 +316,7 @@ def test_a_response_that_is_cut_off_above_the_band_does_not_show_its_noise_there
     assert abs(coefficient["value"] - 4.0) < 4.0 * coefficient["sigma"]
 
 
+@pytest.mark.slow
 def test_an_acceleration_whose_integral_is_noise_is_refused(swept: ForcedRecording) -> None:
     """A cube of 2.4 instead of 4 was explained: noise from 2.5 Hz on was a third of the deflection."""
     turn = 2j * np.pi * np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
@@ -317,6 +330,7 @@ def test_an_acceleration_whose_integral_is_noise_is_refused(swept: ForcedRecordi
     assert plain["causes"][0]["parameters"]["coefficient"]["value"] == pytest.approx(4.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_cube_about_another_zero_is_told_with_its_zero(hardening: ForcedRecording) -> None:
     moved = dataclasses.replace(hardening, response=hardening.response + 0.02)
     plain = as_json(diagnose_forced([moved], BAND_HZ, 3, lambda _what, _ratio: None))
@@ -327,6 +341,7 @@ def test_a_cube_about_another_zero_is_told_with_its_zero(hardening: ForcedRecord
     assert stiffness == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "noted"), [(3.0, False), (30.0, True)])
 def test_a_response_far_from_zero_is_noted(hardening: ForcedRecording, offset: float, noted: bool) -> None:
     """With the stand-off of a sensor in it, a cubic spring was unexplained without a hint."""
@@ -336,6 +351,7 @@ def test_a_response_far_from_zero_is_noted(hardening: ForcedRecording, offset: f
     assert (plain["verdict"] == "explained") == (not noted)
 
 
+@pytest.mark.slow
 def test_a_negative_damping_is_noted(hardening: ForcedRecording) -> None:
     """Backward in time a damper drives."""
     backward = dataclasses.replace(hardening, force=hardening.force[::-1], response=hardening.response[::-1])
@@ -351,6 +367,7 @@ def test_a_tone_alone_tells_no_law(noise: float) -> None:
         diagnose_forced([tone], (5.0, 190.0), 3, lambda _what, _ratio: None)
 
 
+@pytest.mark.slow
 def test_a_segment_without_force_does_not_make_it_one_tone(hardening: ForcedRecording) -> None:
     """A recorder that began before the shaker had a segment without bins: the force was refused as a single tone."""
     before = np.arange(COUNT) < COUNT // 6
@@ -363,6 +380,7 @@ def test_a_segment_without_force_does_not_make_it_one_tone(hardening: ForcedReco
     assert plain["causes"][0]["parameters"]["coefficient"]["value"] == pytest.approx(4.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_tones_one_after_the_other_tell_mass_from_spring() -> None:
     tones = [tone_of(hz, 1e-3) for hz in (20.0, 35.0, 50.0, 80.0)]
     judged = as_json(diagnose_forced(tones, (5.0, 190.0), 3, lambda _what, _ratio: None))
@@ -386,6 +404,7 @@ def test_too_short_a_recording_says_so() -> None:
         diagnose_forced([ForcedRecording("short", t_s, np.sin(t_s), np.cos(t_s))], (5.0, 30.0), 3, lambda _w, _r: None)
 
 
+@pytest.mark.slow
 def test_intervals_of_a_linear_oscillator_hold_the_truth_as_often_as_they_say() -> None:
     """An exact response with noise: squares of errors in sigmas are 1 on average, and 1.8 if every bin counted."""
     rate_hz, count, truth = 200.0, 6000, np.array([1e-3, 0.02, 8.0])

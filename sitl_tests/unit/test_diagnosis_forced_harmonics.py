@@ -51,6 +51,7 @@ def judged(motion: tuple[Floats, Floats], every: int) -> dict[str, Any]:
     return as_json(diagnose_forced([entry], BAND_HZ, 3, lambda _what, _ratio: None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 2, 4])
 def test_an_interval_holds_the_truth_and_a_note_says_to_record_faster(
     motion: tuple[Floats, Floats], every: int

@@ -271,6 +271,7 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     assert fitted.log_evidence > null.log_evidence + 50.0
 
 
+@pytest.mark.slow
 def test_a_mount_is_screened_from_where_it_rings_if_exposures_go_together() -> None:
     """At 17.8 Hz its score at nothing, a gain that grows with frequency, says a fifth of what is there."""
     model = flown(**{"mount-resonance": 8e-5})

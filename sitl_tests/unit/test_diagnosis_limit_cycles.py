@@ -118,6 +118,7 @@ def test_the_airspeed_of_a_damping_ratio_is_as_good_as_its_sigma() -> None:
     assert abs(np.mean(off)) < 0.2
 
 
+@pytest.mark.slow
 def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:
     says = CYCLING.copy()
     says[3] *= 10.0
@@ -164,6 +165,7 @@ def test_a_wrong_label_alone_goes(which: int) -> None:
         assert abs(doubt.implied_mps - speeds[which]) < 6.0 * doubt.sigma_mps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("which", "says"), [(0, 155.0), (1, 18.4), (3, 12.0)])
 def test_a_wrong_airspeed_is_told_from_growth_and_decay(which: int, says: float) -> None:
     """Hammer tests below and above the onset, none of which settles on a limit cycle."""

@@ -88,12 +88,14 @@ def test_a_filter_of_the_sensors_is_not_taken_for_a_late_exposure() -> None:
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED
 
 
+@pytest.mark.slow
 def test_a_window_of_a_recording_does_not_count_the_recoil_of_the_whole() -> None:
     model = _stranger("accel-bias", 42)
     assert model.observations.recoil is not None
     assert model.observations.window(10.0, 30.0).recoil is None
 
 
+@pytest.mark.slow
 def test_what_nature_has_one_way_has_half_a_prior_of_twice_the_density() -> None:
     """The evidence of a lag, which is never negative, is that of a whole normal prior and ln 2."""
     model = _stranger("accel-bias", 42)

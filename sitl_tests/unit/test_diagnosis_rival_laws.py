@@ -88,6 +88,7 @@ def test_names_at_nothing_stay_at_the_frequency_and_the_instants_of_their_fit() 
     assert _at_nothing(term_of("clock-skew", set_at_s=12.0, skew_s_per_min=0.004)).values == [0.0, 0.0, 12.0]
 
 
+@pytest.mark.slow
 def test_clocks_that_were_set_compete_with_names_that_shift_stamps_only() -> None:
     model = flown()
     assert not _clocks([model], [term_of("exposure-delay", delay_s=0.002)])
@@ -97,6 +98,7 @@ def test_clocks_that_were_set_compete_with_names_that_shift_stamps_only() -> Non
     assert all(term.log_trials == 0.0 for term in beside_a_drift)
 
 
+@pytest.mark.slow
 def test_a_leak_adds_the_share_of_the_other_side_s_spectrum() -> None:
     model = flown()
     null = fit([model], ())
@@ -201,6 +203,7 @@ def test_names_stand_against_their_rivals(hidden: str, size: float) -> None:
     assert hidden in {cause.term.name, *cause.group}
 
 
+@pytest.mark.slow
 def test_every_flight_has_a_leak_and_play_among_its_directions() -> None:
     model = flown()
     names = {entry.name for entry in Flights([model]).checks(fit([model], ()))}

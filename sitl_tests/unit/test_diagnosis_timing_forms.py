@@ -30,6 +30,7 @@ def test_a_left_clock_that_was_right_in_mid_flight() -> None:
     assert effect.sample_time(Station.LEFT, T_S) - T_S == pytest.approx(-1e-4 * (T_S - 30.0))
 
 
+@pytest.mark.slow
 def test_each_parameter_of_a_clock_shifts_time_by_its_own_amount() -> None:
     model = flown()
     effect = catalogue()["clock-skew"].from_values({"skew_s_per_min": 0.006})
@@ -40,6 +41,7 @@ def test_each_parameter_of_a_clock_shifts_time_by_its_own_amount() -> None:
         assert model.time_shift(effect, which) == pytest.approx(np.array(shift), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders() -> None:
     """Where both stations turn alike: (2 r)^2 together, 2 r^2 by themselves."""
     kind = catalogue()["exposure-jitter"]
@@ -64,6 +66,7 @@ def test_exposures_that_wander_miss_a_fast_motion_on_average() -> None:
     assert CameraView(jitter_s=sigma_s).follows(omega).real == pytest.approx(mean, abs=0.004)
 
 
+@pytest.mark.slow
 def test_a_clock_is_screened_as_right_at_the_start_in_the_middle_and_at_the_end_of_a_minute() -> None:
     kind = catalogue()["clock-skew"]
     terms = candidates_of([kind], [])

@@ -56,6 +56,7 @@ def results(paths: list[Path], out: Path, workers: int) -> dict[str, dict[str, A
     return {task.path.stem: row for task, row in run(tasks_of(paths, ("measure",), out), measure, workers)}
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     paths = files(tmp_path, "one", "two", "bad", "odd", "three")
     got = [results(paths, tmp_path / f"out{workers}", workers) for workers in (1, 2)]
@@ -65,6 +66,7 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     assert got[0]["odd"]["failed"] == "ZeroDivisionError: a defect"
 
 
+@pytest.mark.slow
 def test_a_second_run_makes_only_what_is_missing_or_has_changed(tmp_path: Path) -> None:
     paths = files(tmp_path, "one", "two")
     out = tmp_path / "out"
@@ -98,6 +100,7 @@ def test_an_airframe_s_text_a_folder_s_files_and_the_version_name_another_part(
     assert len(set(keys)) == 5
 
 
+@pytest.mark.slow
 def test_a_part_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     (path,) = files(tmp_path, "one")
     out = tmp_path / "out"
@@ -115,6 +118,7 @@ def test_a_killed_worker_costs_nothing_but_time_and_a_deadly_file_only_itself(tm
     assert "its worker ended (-9), 2 times" in got["deadly"]["failed"]
 
 
+@pytest.mark.slow
 def test_a_campaign_s_rows_come_in_the_order_of_its_tasks_with_a_line_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

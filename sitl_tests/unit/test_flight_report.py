@@ -254,6 +254,7 @@ def test_without_wing_or_cameras_the_verdict_says_so() -> None:
     assert verdict(gather([mode(0)]), blind).headline == "No range was measured: the airframe has no cameras"
 
 
+@pytest.mark.slow
 def test_the_command_writes_one_page_that_refers_to_nothing_outside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -296,6 +297,7 @@ def test_the_page_of_the_folder_that_one_stands_in_lies_beside_it(
     assert (tmp_path / "lab.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_path: Path) -> None:
     path = tmp_path / "short.mcap"
     writer = McapWriter(path, About.of(AIRFRAME, Settings()))
@@ -309,6 +311,7 @@ def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_
     assert text.count("data:image/png;base64,") == 5
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_cut_off_says_so_beneath_its_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

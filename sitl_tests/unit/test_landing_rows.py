@@ -64,6 +64,7 @@ def test_settings_that_differ_make_a_row_of_their_own() -> None:
     assert [row[1] for row in cells(rows)] == ["Spanwise", "Spanwise, TRK_LAG=0.1"]
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn_for_landings_and_go_arounds(tmp_path: Path) -> None:
     draw_landings(ROWS, tmp_path / "landing.png")
     assert (tmp_path / "landing.png").stat().st_size > 20_000

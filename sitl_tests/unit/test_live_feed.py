@@ -93,6 +93,7 @@ def test_every_kind_has_a_bit_of_its_own() -> None:
     assert max(bits) < 2**64
 
 
+@pytest.mark.slow
 def test_a_view_that_never_reads_costs_a_bounded_queue(feed: tuple[LiveFeed, RecorderReceiver, Interest]) -> None:
     live, _, interest = feed
     interest.mask = ALWAYS | TAPED
@@ -101,6 +102,7 @@ def test_a_view_that_never_reads_costs_a_bounded_queue(feed: tuple[LiveFeed, Rec
     assert live.dropped > 0, "80 MB do not wait"
 
 
+@pytest.mark.slow
 def test_a_view_that_never_reads_changes_no_plan() -> None:
     """The same flight with everything looked at and nothing read, and without a live view."""
     flight = build_flight(load_airframe("nadir-2m"), 4, 4.0)

@@ -85,6 +85,7 @@ def figures(results: Results, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]
     return {picture.title: figure for picture, figure in zip(shown, drawn, strict=True)}
 
 
+@pytest.mark.slow
 def test_every_picture_of_an_experiment_says_its_figure_and_unit(figures: dict[str, Any], results: Results) -> None:
     for figure in figures.values():
         assert re.search(r"\d (%|m|px) of", figure.get_suptitle().replace("\u00a0", " "))
@@ -96,6 +97,7 @@ def test_every_picture_of_an_experiment_says_its_figure_and_unit(figures: dict[s
         assert percent(results.peaks["wing_60m"][way]["rms_percent"] / 100) in bars.get_suptitle()
 
 
+@pytest.mark.slow
 def test_dots_and_bars_of_the_experiments_carry_their_sigma(figures: dict[str, Any], results: Results) -> None:
     scatter = next(figure for title, figure in figures.items() if title.startswith("Every shot"))
     _, left = scatter.axes
@@ -118,6 +120,7 @@ def test_what_is_removed_is_what_the_correction_takes_out(results: Results) -> N
         assert spread == pytest.approx(np.sqrt((16 + 9) / 2))
 
 
+@pytest.mark.slow
 def test_diverging_shots_read_short_by_the_closed_form(sections: list[Section]) -> None:
     ranges_m = next(section for section in sections if section.key == "experiments").data["diverging_ranges_m"]
     inverse = 1 / 60 + np.median([4e-3, 3e-3]) / 1.98

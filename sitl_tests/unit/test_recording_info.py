@@ -127,6 +127,7 @@ def test_stamps_that_go_back_last_no_negative_time() -> None:
     assert info.duration_s == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_samples_that_are_recorded_as_bytes_and_as_records_count_once(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     service = SimulatedService(build_flight(AIRFRAME, 1, 4.0), recording=path)

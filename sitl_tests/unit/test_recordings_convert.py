@@ -56,6 +56,7 @@ def recorded(path: Path, kind: type) -> list[Recordable]:
     return [record for record in open_recording(path).records() if isinstance(record, kind)]
 
 
+@pytest.mark.slow
 def test_pymavlink_reads_every_frame_of_the_log_at_its_receive_time(flown: Path, tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
     assert main(["convert", str(flown), str(log)]) == 0
@@ -97,6 +98,7 @@ def test_the_date_is_that_of_the_vehicle() -> None:
     assert utc_offset_ns([RawChunk(0, 5_000, unset), RawChunk(0, 7_000, set_)]) == unix_us * 1000 - 7_000
 
 
+@pytest.mark.slow
 def test_tables_hold_every_range_and_every_sample(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -160,6 +160,7 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
     assert all((tmp_path / name).exists() for name in others), "only recordings of this name are ours to remove"
 
 
+@pytest.mark.slow
 def test_a_recording_reaches_the_disk_every_period_and_at_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

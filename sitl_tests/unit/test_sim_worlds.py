@@ -140,6 +140,7 @@ def test_a_world_is_called_by_its_name() -> None:
     assert {name: world.name for name, world in WORLDS.items()} == {name: name for name in WORLDS}
 
 
+@pytest.mark.slow
 def test_lens_residuals_have_the_stated_sigmas() -> None:
     airframe = load_airframe("nadir-2m")
     plan = still_plan(0.2)

@@ -106,6 +106,7 @@ def longest_pause_s(ranges: list[CorrectedRange], since: int = 5) -> float:
 # ------------------------------------------------------------------------------------- cameras
 
 
+@pytest.mark.slow
 def test_without_a_fault_every_range_from_the_third_on_is_trusted() -> None:
     for seed in range(2):
         ranges, said = flown(lambda k: Strike(), seed)
@@ -114,6 +115,7 @@ def test_without_a_fault_every_range_from_the_third_on_is_trusted() -> None:
         assert not said
 
 
+@pytest.mark.slow
 def test_poor_matches_at_eighty_metres_are_trusted_too() -> None:
     """Chance in the innovation is no reason to doubt: the ranges' sigma is 1 % here, the limit 3 %."""
     for seed in range(3):
@@ -123,6 +125,7 @@ def test_poor_matches_at_eighty_metres_are_trusted_too() -> None:
         assert not said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [PITCH, YAW, ROLL, (0.6, 0.48, -0.64)])
 def test_a_camera_knocked_by_two_milliradians_is_noticed_and_trusted_again_within_a_second(
     axis: tuple[float, float, float],
@@ -137,6 +140,7 @@ def test_a_camera_knocked_by_two_milliradians_is_noticed_and_trusted_again_withi
         assert len(said) == 1
 
 
+@pytest.mark.slow
 def test_late_stamps_cost_their_own_pairs_only() -> None:
     """Every seventh pair was exposed when the wings were bent by 2 mrad more than at its stamp: 4 mrad of toe."""
     late = [k for k in range(8, PAIRS) if k % 7 == 0]
@@ -147,6 +151,7 @@ def test_late_stamps_cost_their_own_pairs_only() -> None:
         assert np.mean(timely) > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_rad", [0.0003, 0.002])
 def test_late_stamps_that_the_latency_shows_cost_no_other_pair_even_in_a_row(late_rad: float) -> None:
     """Ten in a row, 0.6 or 4 mrad of toe: taken for true they would be a knock, or teach the filter an offset."""
@@ -199,6 +204,7 @@ def rolled_rad(k: int) -> float:
     return float(np.radians(45.0) * np.cos(2.0 * np.pi * k * PERIOD_NS / 3e9))
 
 
+@pytest.mark.slow
 def test_a_bank_lengthens_the_range_and_moves_no_ground() -> None:
     """Level ground 50 m below lies 50/cos(bank) along the axis: up to 80 m/s of change, and no jump."""
     for seed in range(2):

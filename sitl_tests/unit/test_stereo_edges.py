@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
 from companion.core.stereo.triangulation import Depths
@@ -27,6 +28,7 @@ def _ahead(depths: Depths) -> InverseDepthEstimate:
     return estimate
 
 
+@pytest.mark.slow
 def test_of_ranges_to_a_wall_that_ends_near_the_axis_few_lie_beyond_what_they_state() -> None:
     edges = np.random.default_rng(0).uniform(-0.1, 0.1, 300)
     wrong = 0
@@ -60,6 +62,7 @@ def test_a_roof_under_the_axis_is_the_range_though_most_matches_are_on_the_groun
     assert sum(each.sigma_pm < 0.01 * each.inverse_pm for each in estimates) >= 36
 
 
+@pytest.mark.slow
 def test_of_ranges_to_ground_beside_a_roof_few_lie_beyond_what_they_state() -> None:
     edges = np.random.default_rng(1).uniform(-0.1, 0.1, 300)
     wrong = 0

@@ -140,6 +140,7 @@ def test_slow_and_fast_part_are_told_apart_by_time(rig: Rig) -> None:
     assert np.all(np.abs(update.slow_rad - slow) < 4.0 * sigma)
 
 
+@pytest.mark.slow
 def test_a_fast_error_with_memory_is_not_averaged_away(rig: Rig) -> None:
     """Yaw that wanders by 0.5 mrad within a second: its sigma is right in 12 flights of 3 s, ten pairs a second."""
     time_s, fast_rad, ratios = 1.0, 5e-4, []

@@ -110,6 +110,7 @@ def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator, lens: Fl
     return rays
 
 
+@pytest.mark.slow
 def test_at_the_truth_noise_pulls_at_no_state() -> None:
     """Errors in variables: rows at noisy depths and places pull at the lenses' terms in every pair.
 
@@ -379,6 +380,7 @@ def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
     assert abs(answer.mean[YAW] - 1e-3) < 2.0 * np.sqrt(answer.covariance[YAW, YAW])
 
 
+@pytest.mark.slow
 def test_wrong_furrows_bias_neither_toe_nor_velocity() -> None:
     """A quarter of the matches 3 px beside the right furrow: over many pairs even a quarter of a sigma adds up."""
     over_sigma = []
@@ -395,6 +397,7 @@ def test_wrong_furrows_bias_neither_toe_nor_velocity() -> None:
     assert np.all(np.abs(np.mean(over_sigma, axis=0)) < 3.0 * np.std(over_sigma, axis=0) / np.sqrt(150.0))
 
 
+@pytest.mark.slow
 def test_features_that_went_astray_pull_no_more_at_the_toe_than_noise_does() -> None:
     """A seventh of the features found 3 px beside in the earlier image, noise and errors also turned round.
 

@@ -67,6 +67,7 @@ def test_the_mean_of_what_vibrates_beyond_the_range_is_the_mean(vibration: objec
     )
 
 
+@pytest.mark.slow
 def test_a_vibration_that_swells_and_fades_is_no_slow_force() -> None:
     """A common gain, which knows the seconds' share alone, gives back what a calm half second has not lost."""
     rng, t_s = np.random.default_rng(7), 1e-3 * np.arange(200_000)

@@ -62,6 +62,7 @@ def test_a_false_frequency_moves_a_slope_factor_by_so_much(rank: int, load_ratio
     assert np.count_nonzero(sigma) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [22, 35])
 def test_a_slope_factor_is_no_surer_than_its_frequency(seed: int) -> None:
     """Fitted frequencies that are half a per cent off took the second factor 7 sigma off."""

@@ -61,6 +61,7 @@ def test_how_calls_are_spaced_does_not_change_the_answer(moving: tuple[np.ndarra
     np.testing.assert_allclose(np.sqrt(np.diag(second.covariance)), sigma, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_turns_in_which_spread_work_is_done_do_not_change_the_answer() -> None:
     """Stages that run between epochs, and stages that all run when their result is due: equal to the last bit."""
     t, values = swinging(12.6, 0.005)
@@ -158,6 +159,7 @@ def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict
     assert states[-1].validity is Validity.TRACKING
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("until_ms", "distrust"), [(14_000, Reject.SATURATED), (15_000, None)])
 def test_a_tip_that_fell_silent_at_its_limit_blinds_the_others_no_more(until_ms: int, distrust: Reject | None) -> None:
     t, values = swinging(15.0, 0.005)
@@ -247,6 +249,7 @@ def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:
         tracker.add(ImuBatch(Station.LEFT, ClockName.HOST, np.arange(3), np.zeros((3, 3)), Axis.ALL, 0))
 
 
+@pytest.mark.slow
 def test_what_was_learned_on_the_ground_is_forgotten_at_lift_off() -> None:
     """On its wheels a wing does not bend by its load factor: what that taught the constants does not fly."""
     t, values = swinging(13.0, 0.005)

@@ -125,6 +125,7 @@ def test_fits_that_are_all_refused_contradict_the_model() -> None:
     assert activity.reject is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("drift_radps2", "level_radps", "trusted"), [(0.0, 0.01, True), (3e-4, 0.0, False)])
 def test_a_gyro_may_be_off_but_not_drift(drift_radps2: float, level_radps: float, trusted: bool) -> None:
     """A large bias is learned and harmless; a drift is followed too late, and no innovation shows it."""
