@@ -107,14 +107,13 @@ static void fit_channel(lines *l, int64_t channel, double error, double dt)
             continue;
         int64_t i = l->shaft[j];
         double re = 2.0 * error * g.re / gain, im = -2.0 * error * g.im / gain;
-        if (l->multiple[j] == PARTS) {
-            double weight = least(l->weight[channel], 1.0 / squared(l->error[channel])); /* gusts are no line's phase */
-            double power = a->re * a->re + a->im * a->im, besides = squared(l->error[channel]) / gain;
-            /* a channel whose line is far below the wing's motion would pull the phase to that */
-            weight *= power / (power + besides + 1e-30);
-            l->turning[i] += weight * (a->re * im - a->im * re);
-            l->power[i] += weight * (power + FLOOR * besides);
-        }
+        double turns = (double)l->multiple[j] / PARTS; /* of the line in one of the leader's */
+        double weight = least(l->weight[channel], 1.0 / squared(l->error[channel])); /* gusts are no line's phase */
+        double power = a->re * a->re + a->im * a->im, besides = squared(l->error[channel]) / gain;
+        /* a channel whose line is far below the wing's motion would pull the phase to that */
+        weight *= gain * power / (power + besides + 1e-30);
+        l->turning[i] += weight * turns * (a->re * im - a->im * re);
+        l->power[i] += weight * squared(turns) * (power + FLOOR * besides);
         double slower = least((double)l->multiple[j] * l->anchor[i] / SLOWER_BELOW_RADPS, 1.0);
         a->re += slower * AMPLITUDE_RADPS * dt * re;
         a->im += slower * AMPLITUDE_RADPS * dt * im;

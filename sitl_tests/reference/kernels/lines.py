@@ -81,11 +81,11 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
                 if gain > _MIN_GAIN:
                     a, step = states.amplitude[j, c], 2.0 * error * np.conj(g[j]) / gain
                     weight = 1.0 / max(states.error[c] ** 2, 1.0 / states.weight[c])
-                    if states.multiple[j] == PARTS:
-                        squared, besides = a.real * a.real + a.imag * a.imag, states.error[c] ** 2 / gain
-                        weight *= squared / (squared + besides + 1e-30)
-                        turning[shaft[j]] += weight * (a.real * step.imag - a.imag * step.real)
-                        power[shaft[j]] += weight * (squared + _FLOOR * besides)
+                    turns = states.multiple[j] / PARTS
+                    squared, besides = a.real * a.real + a.imag * a.imag, states.error[c] ** 2 / gain
+                    weight *= gain * squared / (squared + besides + 1e-30)
+                    turning[shaft[j]] += weight * turns * (a.real * step.imag - a.imag * step.real)
+                    power[shaft[j]] += weight * turns**2 * (squared + _FLOOR * besides)
                     slower = min(states.multiple[j] * states.anchor_radps[shaft[j]] / _SLOWER_BELOW_RADPS, 1.0)
                     states.amplitude[j, c] += slower * _AMPLITUDE_RADPS * dt * step
         for i in range(shafts if even else 0):
