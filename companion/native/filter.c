@@ -85,7 +85,7 @@ typedef struct {
 
     const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *body_rate_radps,
         *earlier_roll_radps2, *row_sensitivity, *aliasing_noise, *root_motion_variance;
-    const uint8_t *present;
+    const uint8_t *present, *root_vibrates;
 
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
     history h;
@@ -579,7 +579,7 @@ static bool factorise(run *f, bool robust)
 /* Variance of a vertical row by motion of the root that is not resolved, and by the load that it makes. */
 static double unresolved_variance(const run *f, int64_t k)
 {
-    return (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+    return f->root_vibrates[k] ? 0.0 : (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
 }
 
 /* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate. */
@@ -739,7 +739,8 @@ static bool step(run *f, int64_t k, int64_t slot)
     find_innovation(f, k, innovation);
     project_covariance(f);
     double by_load = f->load_noise_in_rows[Z_LEFT * ROWS + Z_LEFT];
-    double shaken = LOAD_VARIANCE_RATIO * f->root_motion_variance[3 * k] / by_load;
+    double struck = f->root_vibrates[k] ? 0.0 : f->root_motion_variance[3 * k];
+    double shaken = LOAD_VARIANCE_RATIO * struck / by_load;
     double noise_inflation = least(1.0 + shaken, MAX_NOISE_INFLATION);
     find_innovation_covariance(f, k, noise_inflation);
     sum_innovation(f, slot);
@@ -843,7 +844,8 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->row_sensitivity = reals(record->sensitivity, 3, &good);
     f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
-    return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+    f->root_vibrates = truths(record->root_vibrates, 1, &good);
+    return good && extent(record->root_vibrates, 0) >= last && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
            extent(record->earlier_roll_radps2, 0) >= last && extent(record->root_motion_variance, 0) >= last &&
            extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1;

@@ -74,6 +74,7 @@ def _epochs(
         sensitivity=rng.normal(size=(n, ROWS, bias_parameters)),
         aliasing_noise=two,
         root_motion_variance=np.zeros((n, 3)),
+        root_vibrates=np.zeros(n, np.bool_),
         root_covered=np.ones(n, np.bool_),
     )
 

@@ -143,5 +143,6 @@ def _nothing_measured(count: int) -> Epochs:
         sensitivity=np.zeros((count, ROWS, len(LAYOUT.bias_parameters))),
         aliasing_noise=per_side,
         root_motion_variance=np.zeros((count, 3)),
+        root_vibrates=np.zeros(count, np.bool_),
         root_covered=np.zeros(count, np.bool_),
     )

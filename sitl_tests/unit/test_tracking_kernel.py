@@ -72,6 +72,7 @@ def _epochs(kalman: SeparatedBiasFilter, missing: float) -> Epochs:
         sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, parameters)),
         aliasing_noise=rng.random((STEPS, 2)),
         root_motion_variance=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
+        root_vibrates=rng.random(STEPS) < 0.3,
         root_covered=np.ones(STEPS, np.bool_),
     )
 

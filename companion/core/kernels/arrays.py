@@ -76,6 +76,8 @@ class Epochs(NamedTuple):
     root_motion_variance : (n, 3) float64
         Variance of the rigid vertical and lateral force, (m/s^2)^2, and of the roll rate, (rad/s)^2, where the root
         moved faster than its filtered samples resolve; 0 in steady flight.
+    root_vibrates : (n,) bool
+        Where it moved so again and again: that loads the wing less than a blow does.
     root_covered : (n,) bool
         Epochs in which the root had samples; load factor and body rate of the others are those of the last one.
     """
@@ -93,6 +95,7 @@ class Epochs(NamedTuple):
     sensitivity: Floats
     aliasing_noise: Floats
     root_motion_variance: Floats
+    root_vibrates: Bools
     root_covered: Bools
 
     @property

@@ -3,22 +3,23 @@
 An average over an epoch lets a line pass (84 % of one at 80 Hz in 4 ms) or folds it onto the wing's band. So the lines
 of each shaft that :mod:`companion.core.tracking.line_search` has found are followed in the samples themselves, as
 ``Re(a_j exp(i m_j phi))`` in every channel, and subtracted. All of them turn with the phase ``12 phi`` of the shaft's
-leader, its strongest line: so a weak line is where the strong one says. They are fitted to the samples' second
-differences ``y``, in which the wing's slow and large motion is small, over a lag of a few samples, in which the lines
-are large beside broadband noise (Widrow and Glover, Proc. IEEE 63, 1975, for ``a``; a phase-locked loop of third order
-for rpm):
+leader, the line that the search shows best: so a weak line is where the strong ones say. They are fitted to the
+samples' second differences ``y``, in which the wing's slow and large motion is small, over a lag of a few samples, in
+which the lines are large beside broadband noise (Widrow and Glover, Proc. IEEE 63, 1975, for ``a``; a phase-locked loop
+of third order for rpm):
 
     g_j = second difference of exp(i m_j phi),   e = y - sum Re(a_j g_j),   d_j = 2 e conj(g_j) / |g_j|^2
-    a_j' = k d_j,   psi = sum w Im(conj(a) d) / sum w |a|^2   over the leader's channels
+    a_j' = k d_j,   psi = sum w n_j Im(conj(a) d) / sum w n_j^2 |a|^2   over all lines and channels, n_j = m_j / 12
     12 phi' = omega + k1 psi,   omega' = alpha + k2 psi,   alpha' = k3 psi
 
 What is subtracted turns with a calmer phase, ``phi`` less the turns ``k1 psi`` of the last 20 ms: the wing's motion in
 one channel moves psi at its beats with the line, and came out in all channels that have the line. Two steady lines of
 3 and 1 m/s^2 so moved the slope by 0.6 to 1.7 mrad rms, in step with the vertical force, and the toe by up to 8 sigma.
 
-w is the inverse square of a channel's noise, or of its usual error e where gusts make that larger, times the line's
-share of the channel, ``|a|^2 / (|a|^2 + e^2 / |g|^2)``: where the wing moves far more than the line, its second mode
-would draw the phase to itself. The phase may be
+w is ``|g|^2`` over the square of a channel's noise, or of its usual error e where gusts make that larger, times the
+line's share of the channel, ``|a|^2 / (|a|^2 + e^2 / |g|^2)``: where the wing moves far more than the line, its second
+mode would draw the phase to itself. By its leader alone, a tip that feels the blade pass more than the shaft lost
+lock: what the turning phase left of that line turned it further. The phase may be
 followed fast (4 Hz: a ramp of rpm leaves no error) and each amplitude slowly (2 Hz; below 45 Hz in proportion slower).
 The gain on the wing's motion at f differs from one by about ``k / (2 pi f0) (f/f0)^2``: 1e-4 at 5 Hz, 3e-3 at 27 Hz for
 a line at 80 Hz.

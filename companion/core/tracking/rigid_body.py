@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.error_jacobians import AVERAGED, EARLIER, error_columns
+from companion.core.tracking.root_vibration import RootVibration
 from companion.core.tracking.states import M_LEFT, P_ROOT, ROWS, Z_LEFT, SensorNoise, StateLayout
 from companion.core.tracking.streams import CHANNELS, SampleBuffer, StreamSamples
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
@@ -82,6 +83,7 @@ class MeasurementBuilder:
         self._axes: tuple[Axis, ...] = ()
         self._sends = np.zeros((3, CHANNELS), dtype=np.bool_)
         self._last: tuple[float, Floats] = (0.0, np.zeros(3))  # load factor less one and body rate, measured last
+        self._vibration = RootVibration()
 
     def epochs(self, first_ns: int, step_ns: int, count: int) -> Epochs:
         """Build ``count`` consecutive epochs of ``step_ns`` from ``first_ns`` on."""
@@ -94,7 +96,8 @@ class MeasurementBuilder:
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
         padded = build_epochs(at_root, at_left, at_right, first_ns, step_ns, count, *fixed)
-        return self._bridged(padded.span(BEFORE, BEFORE + count))
+        epochs = self._bridged(padded.span(BEFORE, BEFORE + count))
+        return epochs._replace(root_vibrates=self._vibration.includes(first_ns, epochs.root_motion_variance[:, 0]))
 
     def _bridged(self, epochs: Epochs) -> Epochs:
         """Epochs whose load factor and body rate are the last measured ones where the root has a gap.
@@ -178,5 +181,6 @@ def _empty(n: int, parameters: int) -> Epochs:
         sensitivity=np.empty((n, ROWS, parameters)),
         aliasing_noise=np.empty((n, 2)),
         root_motion_variance=np.empty((n, 3)),
+        root_vibrates=np.zeros(n, np.bool_),
         root_covered=np.empty(n, np.bool_),
     )

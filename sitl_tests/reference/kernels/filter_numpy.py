@@ -77,12 +77,9 @@ def _filter_step(
     gravity = slope[:, None] * (model.linearisation_rows[:2] @ state_and_sensitivity)
     _regress_on_prediction(const, used, innovation, innovation @ one_and_bias, slope, gravity)
     row_innovation, HPHT = innovation @ one_and_bias, HP @ H_used.T
+    struck = 0.0 if epochs.root_vibrates[k] else float(epochs.root_motion_variance[k, 0])
     noise_inflation = min(
-        1.0
-        + LOAD_VARIANCE_RATIO
-        * float(epochs.root_motion_variance[k, 0])
-        / float(model.load_noise_in_rows[Z_LEFT, Z_LEFT]),
-        MAX_NOISE_INFLATION,
+        1.0 + LOAD_VARIANCE_RATIO * struck / float(model.load_noise_in_rows[Z_LEFT, Z_LEFT]), MAX_NOISE_INFLATION
     )
     S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state, one_and_bias)[np.ix_(used, used)]
     history.innovation[slot], history.innovation_covariance[slot] = 0.0, 0.0
@@ -104,7 +101,7 @@ def _filter_step(
             return False
     by_root = np.zeros(ROWS)
     by_root[Z_LEFT:M_LEFT], by_root[P_ROOT] = (
-        (1.0 + LOAD_VARIANCE_RATIO) * epochs.root_motion_variance[k, 0],
+        (1.0 + LOAD_VARIANCE_RATIO) * struck,
         epochs.root_motion_variance[k, 2],
     )
     gate_excess = np.where(by_root[used] > 0.5 * predicted_variance, row_innovation, gate_excess)

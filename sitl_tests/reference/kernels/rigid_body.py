@@ -145,6 +145,7 @@ def _rows_and_jacobians(
         sensitivity,
         aliasing_noise,
         root_motion_variance,
+        np.zeros(n, dtype=np.bool_),
         averaged.covered[0],
     )
 
