@@ -100,10 +100,7 @@ def _filter_step(
         if cholesky is None:
             return False
     by_root = np.zeros(ROWS)
-    by_root[Z_LEFT:M_LEFT], by_root[P_ROOT] = (
-        (1.0 + LOAD_VARIANCE_RATIO) * struck,
-        epochs.root_motion_variance[k, 2],
-    )
+    by_root[Z_LEFT:M_LEFT], by_root[P_ROOT] = ((1.0 + LOAD_VARIANCE_RATIO) * struck, epochs.root_motion_variance[k, 2])
     gate_excess = np.where(by_root[used] > 0.5 * predicted_variance, row_innovation, gate_excess)
     whitened_cross_cov = HP @ model.transition.T + model.cross_cov[used]
     whitened_cross_cov += (noise_inflation - 1.0) * model.load_cross_cov[used]
