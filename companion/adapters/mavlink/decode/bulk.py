@@ -151,7 +151,7 @@ def _checksum_tables() -> tuple[Ints, Ints]:
     return extra, longest
 
 
-def seek(buffer: bytes, start: int) -> int:
+def next_frame(buffer: bytes, start: int) -> int:
     """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
     return start + _seek(np.frombuffer(buffer, np.uint8)[start:], _CRC, *_checksum_tables())
 

@@ -7,11 +7,10 @@ How a link is spelled is told by :mod:`companion.params.links`.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from companion.adapters.mavlink.link.serial_link import SerialTransport
 from companion.adapters.mavlink.link.signing import SignedTransport, Signing
 from companion.adapters.mavlink.link.tcp import TcpClient, TcpServer
+from companion.adapters.mavlink.link.transport import Transport
 from companion.adapters.mavlink.link.udp import UdpIn, UdpOut
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.params.links import LinkAddress, LinkKind, parse_link
@@ -19,26 +18,6 @@ from companion.ports import Clock
 from companion.records import RawChunk
 
 CHUNK_BYTES = 65536  # most bytes of a read: 0.7 s of a 921,600 baud line (choice)
-
-
-class Transport(Protocol):
-    """Carrier of the bytes. Nothing here blocks; a lost connection is opened again with growing pauses."""
-
-    def fileno(self) -> int:
-        """Descriptor to wait on, or -1 while there is none."""
-        ...
-
-    def receive(self, limit: int, now_host_ns: int) -> bytes:
-        """Give what has arrived, about ``limit`` bytes at most; empty where there is nothing."""
-        ...
-
-    def send(self, data: bytes) -> bool:
-        """Send all of ``data`` or, where that cannot be done at once, nothing."""
-        ...
-
-    def close(self) -> None:
-        """Release the device or socket."""
-        ...
 
 
 class Link:

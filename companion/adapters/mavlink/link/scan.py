@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.decode.bulk import BulkDecoder, SampleRun, seek
+from companion.adapters.mavlink.decode.bulk import BulkDecoder, SampleRun, next_frame
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
 
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
+MAGIC_1, MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _HEADER_1, _HEADER_2 = 6, 10  # bytes of the header (MAVLink serialization)
-_SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
+SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
 _SIGNATURE_BYTES = 13  # link id, timestamp, signature (MAVLink signing)
 _SHORTEST_2 = _HEADER_2 + 2  # header and checksum (derived)
 # where a frame may begin; the last bytes of a chunk may begin one whose header is not there yet
@@ -37,6 +37,13 @@ Frame = tuple[int, bytes]
 def sender(key: int) -> tuple[int, int, int]:
     """System, component and message id of a frame's key."""
     return key & 0xFF, key >> 8 & 0xFF, key >> 16
+
+
+def sender_of(frame: bytes) -> tuple[int, int, int]:
+    """System, component and message id of a whole frame."""
+    if frame[0] == MAGIC_2:
+        return frame[5], frame[6], int.from_bytes(frame[7:10], "little")
+    return frame[3], frame[4], frame[5]
 
 
 @dataclass(slots=True)
@@ -99,7 +106,7 @@ class Scanner:
         position, end, before = 0, len(buffer), len(frames)
         last_start = end - _SHORTEST_2
         while position < end:
-            if position <= last_start and buffer[position] == _MAGIC_2 and not buffer[position + 2]:
+            if position <= last_start and buffer[position] == MAGIC_2 and not buffer[position + 2]:
                 extra = extra_of(buffer[position + 7 : position + 10])
                 stop = position + _HEADER_2 + buffer[position + 1]
                 if extra is not None and stop + 2 <= end:
@@ -119,14 +126,14 @@ class Scanner:
         counters, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
         crc, last_byte, extra_of, last_1 = mcrf4xx, _LAST_BYTE, _EXTRA_1, end - _LARGEST_1
         while at < end:
-            if buffer[at] == _MAGIC_1 and at <= last_1:  # a flood of these is the dearest: frame_end, here
+            if buffer[at] == MAGIC_1 and at <= last_1:  # a flood of these is the dearest: frame_end, here
                 size, identity = buffer[at + 1], buffer[at + 5]
                 longest = longest_of[identity]
                 if size > longest:
                     counters.unknown += longest < 0
                     counters.crc_errors += longest >= 0
                     at += 1
-                    if buffer[at] != _MAGIC_1:
+                    if buffer[at] != MAGIC_1:
                         candidate = search(buffer, at)
                         at = candidate.start() if candidate else end
                     continue
@@ -149,30 +156,41 @@ class Scanner:
             return end, False
         if after == INCOMPLETE:
             return at, True
-        first, key = (at + _HEADER_2, at + 5) if buffer[at] == _MAGIC_2 else (at + _HEADER_1, at + 3)
+        first, key = (at + _HEADER_2, at + 5) if buffer[at] == MAGIC_2 else (at + _HEADER_1, at + 3)
         frames.append((int.from_bytes(buffer[key:first], "little"), buffer[first : first + buffer[at + 1]]))
         return after, False
 
 
-def next_frame(buffer: bytes, start: int) -> int:
-    """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
-    return seek(buffer, start)
+def split_frames(buffer: bytes) -> tuple[list[tuple[bytes, bool]], bytes]:
+    """Pieces of a buffer in their order, and the incomplete frame at its end; a piece is one frame (True), or none."""
+    pieces: list[tuple[bytes, bool]] = []
+    at, end = 0, len(buffer)
+    while at < end:
+        after = frame_end(buffer, at)
+        if after == INCOMPLETE:
+            break
+        is_frame = after > 0
+        if not is_frame:
+            after = next_frame(buffer, at + 1)
+        pieces.append((buffer[at:after], is_frame))
+        at = after
+    return pieces, buffer[at:]
 
 
 def frame_end(buffer: bytes, start: int) -> int:
     """Where the frame that begins at ``start`` ends, or why none does: one of the four negative words."""
     end, magic, longest = len(buffer), buffer[start], 0
-    if magic == _MAGIC_2:
+    if magic == MAGIC_2:
         first = start + _HEADER_2
         if first > end:
             return INCOMPLETE
         flags = buffer[start + 2]
-        if flags & ~_SIGNED:
+        if flags & ~SIGNED:
             return NO_FRAME
         extra = _EXTRA_OF.get(buffer[start + 7 : first])
         if extra is None:
             return UNKNOWN
-    elif magic == _MAGIC_1:
+    elif magic == MAGIC_1:
         first, flags = start + _HEADER_1, 0
         if first > end:
             return INCOMPLETE
@@ -186,7 +204,7 @@ def frame_end(buffer: bytes, start: int) -> int:
     after = stop + 2 + (_SIGNATURE_BYTES if flags else 0)
     if after > end:
         return INCOMPLETE
-    if magic == _MAGIC_1 and buffer[start + 1] > longest:
+    if magic == MAGIC_1 and buffer[start + 1] > longest:
         return DAMAGED
     state = mcrf4xx(buffer[start + 1 : stop])
     intact = (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8

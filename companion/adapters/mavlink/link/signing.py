@@ -23,12 +23,12 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from fastcrc.crc16 import mcrf4xx
 
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, ID_OF
-from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
+from companion.adapters.mavlink.link.scan import MAGIC_2, SIGNED, sender_of, split_frames
+from companion.adapters.mavlink.link.transport import Transport
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import ConfigError
@@ -38,8 +38,6 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
-_SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
 _KEY_BYTES = 32  # a SHA-256 hash (MAVLink signing)
 _UNIT_NS = 10_000  # unit of a signature's timestamp (MAVLink signing)
 _MINUTE = 60 * 100_000  # in units of 10 us: how far behind a new stream may be (MAVLink signing)
@@ -128,7 +126,7 @@ class Signing:
         """Sign one unsigned MAVLink 2 frame; its checksum is made anew, for it covers the flag."""
         self._last_sent = max(self.now(), self._last_sent + 1)
         self._keep()
-        head = frame[:2] + bytes((frame[2] | _SIGNED,)) + frame[3:-2]
+        head = frame[:2] + bytes((frame[2] | SIGNED,)) + frame[3:-2]
         extra = CRC_EXTRA[int.from_bytes(frame[7:10], "little")]
         crc = mcrf4xx(head[1:] + bytes((extra,)))
         body = head + crc.to_bytes(2, "little") + bytes((link & 0xFF,)) + self._last_sent.to_bytes(6, "little")
@@ -145,7 +143,7 @@ class Signing:
         return refusal
 
     def _refusal(self, frame: bytes) -> Refusal | None:
-        if frame[0] != _MAGIC_2 or not frame[2] & _SIGNED:
+        if frame[0] != MAGIC_2 or not frame[2] & SIGNED:
             return Refusal.UNSIGNED
         if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
             return Refusal.WRONG_KEY
@@ -186,23 +184,13 @@ class Signing:
 
 def _is_radio_status(frame: bytes) -> bool:
     """Whether a frame is a telemetry radio's RADIO_STATUS, which no radio can sign: dropped, and no news."""
-    number = frame[7:10] if frame[0] == _MAGIC_2 else frame[5:6]
-    return int.from_bytes(number, "little") == ID_OF["RADIO_STATUS"]
-
-
-class Carrier(Protocol):
-    """A transport, as :class:`companion.adapters.mavlink.link.link.Transport` describes it."""
-
-    def fileno(self) -> int: ...  # noqa: D102
-    def receive(self, limit: int, now_host_ns: int) -> bytes: ...  # noqa: D102
-    def send(self, data: bytes) -> bool: ...  # noqa: D102
-    def close(self) -> None: ...  # noqa: D102
+    return sender_of(frame)[2] == ID_OF["RADIO_STATUS"]
 
 
 class SignedTransport:
     """A transport whose bytes are checked on the way in and signed on the way out."""
 
-    def __init__(self, inner: Carrier, signing: Signing, link: int) -> None:
+    def __init__(self, inner: Transport, signing: Signing, link: int) -> None:
         self._inner = inner
         self._signing = signing
         self._link = link
@@ -234,27 +222,8 @@ class SignedTransport:
         self._inner.close()
 
     def _admit(self, data: bytes) -> bytes:
-        buffer = self._tail + data
-        frames, end = _frames(buffer)
-        self._tail = buffer[end:]
-        accepted = [frame for frame in frames if self._signing.judge(frame) is None]
-        return b"".join(accepted)
-
-
-def _frames(buffer: bytes) -> tuple[list[bytes], int]:
-    """Every frame with a right checksum, and the place behind the last byte that need not wait for more."""
-    frames: list[bytes] = []
-    at, end = 0, len(buffer)
-    while at < end:
-        after = frame_end(buffer, at)
-        if after == INCOMPLETE:
-            return frames, at
-        if after > 0:
-            frames.append(buffer[at:after])
-            at = after
-        else:
-            at = next_frame(buffer, at + 1)
-    return frames, at
+        pieces, self._tail = split_frames(self._tail + data)
+        return b"".join(piece for piece, is_frame in pieces if is_frame and self._signing.judge(piece) is None)
 
 
 # ------------------------------------------------------------------------------------------------ the key file

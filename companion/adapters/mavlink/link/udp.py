@@ -13,7 +13,7 @@ from companion.adapters.mavlink.link.datagrams import FRAMES, GUARDED_FRAMES, Da
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.host import HostAddress
 from companion.adapters.mavlink.link.reconnect import Backoff
-from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
+from companion.adapters.mavlink.link.scan import MAGIC_2, sender_of, split_frames
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import LinkError
 
@@ -22,7 +22,6 @@ _LARGEST_DATAGRAM = 65536  # bytes, of UDP (by definition)
 _MOST_PEERS = 16  # bound of memory
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
 _MOST_READS = 64  # of 64 system calls each at most; the same bound where many are read at once
-_MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
 
 
 def buffer_shortfall() -> tuple[int, int] | None:
@@ -38,13 +37,12 @@ def buffer_shortfall() -> tuple[int, int] | None:
 
 
 class _Udp:
-    """A non-blocking datagram socket whose datagrams are drained into one buffer."""
+    """A non-blocking datagram socket."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         self._socket.setblocking(False)
-        self._buffer = memoryview(bytearray(2 * _LARGEST_DATAGRAM))
 
     def fileno(self) -> int:
         return self._socket.fileno()
@@ -153,26 +151,18 @@ class UdpIn(_Udp):
 
     def _frame_by_frame(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> tuple[bytes, bytes]:
         """Admitted frames of some bytes, and the bytes that wait for more."""
-        at, end = 0, len(data)
-        came: list[bytes] = []
-        while at < end:
-            after = frame_end(data, at)
-            if after == INCOMPLETE:
-                break
-            if after > 0:
-                if self._admits(address, data[at:after], now_host_ns):
-                    came.append(data[at:after])
-            else:
-                after = next_frame(data, at + 1)
-                if self.judge is None:  # damage is counted where frames are read
-                    came.append(data[at:after])
-            at = after
-        return b"".join(came), data[at:]
+        pieces, tail = split_frames(data)
+        came = [
+            piece
+            for piece, is_frame in pieces  # damage is counted where frames are read
+            if (self._admits(address, piece, now_host_ns) if is_frame else self.judge is None)
+        ]
+        return b"".join(came), tail
 
     def _admits(self, address: tuple[str, int], frame: bytes, now_host_ns: int) -> bool:
         if self.judge is not None and not self.judge(frame):
             return False
-        key = (frame[5], frame[6]) if frame[0] == _MAGIC_2 else (frame[3], frame[4])
+        key = sender_of(frame)[:2]
         if self.senders.guards(key) and not self.senders.admit(address, key, frame, now_host_ns):
             return False
         system = 0 if _is_station(frame) else key[0]
@@ -195,10 +185,9 @@ class UdpIn(_Udp):
 
 def _is_station(frame: bytes) -> bool:
     """Whether a frame is a ground station's heartbeat; zeros at a payload's end are not sent."""
-    newer = frame[0] == _MAGIC_2
-    number = frame[7:10] if newer else frame[5:6] + b"\0\0"
-    kind = 14 if newer else 10  # after custom_mode, 4 bytes
-    return number == b"\0\0\0" and frame[1] > 4 and frame[kind] == mavlink.MAV_TYPE_GCS
+    kind = 14 if frame[0] == MAGIC_2 else 10  # after custom_mode, 4 bytes
+    is_heartbeat = sender_of(frame)[2] == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+    return bool(is_heartbeat and frame[1] > 4 and frame[kind] == mavlink.MAV_TYPE_GCS)
 
 
 class UdpOut(_Udp):
@@ -211,6 +200,7 @@ class UdpOut(_Udp):
         self._host = HostAddress(f"udpout:{host}:{port}", host, may_be_down=may_be_down)
         self._address, self._port = self._host.newest(), port
         self._backoff = Backoff()
+        self._buffer = memoryview(bytearray(2 * _LARGEST_DATAGRAM))
         super().__init__()
 
     def receive(self, limit: int, now_host_ns: int) -> bytes:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.mavlink.decode.bulk import next_frame
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import NAME_OF
-from companion.adapters.mavlink.link.scan import frame_end, next_frame
+from companion.adapters.mavlink.link.scan import MAGIC_1, MAGIC_2, frame_end
 from companion.adapters.recordings.mcap.channels import CHANNELS
 from companion.adapters.recordings.recording import LoggedRecording
 from companion.errors import RecordingError
@@ -24,7 +25,6 @@ from companion.params.airframe import Airframe
 from companion.records import ClockName, ClockRestart, ImuBatch, Ints, RawChunk, Record, Station, VehicleState
 
 _STAMP = 8  # bytes of the big-endian microseconds before each frame (MAVProxy, mavutil; convention)
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _CHUNK_US = 20_000  # chosen: as a live read: two ticks of the service at 100 Hz
 _CHUNK_FRAMES = 128  # chosen: frames decoded together: a chunk without stamps of its own stays short
 # of the receive time; a longer one is believed where the next frame agrees with it (choice)
@@ -177,9 +177,9 @@ def _frame_bytes(data: bytes, at: int) -> int:
     """Length of the frame that begins here by its header, 0 where none does."""
     if at + 3 > len(data):
         return 0
-    if data[at] == _MAGIC_2:
+    if data[at] == MAGIC_2:
         return 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
-    return 8 + data[at + 1] if data[at] == _MAGIC_1 else 0
+    return 8 + data[at + 1] if data[at] == MAGIC_1 else 0
 
 
 def _plausible(stamp_us: int, last_us: int) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.mavlink.link.dialect import build_message
-from companion.adapters.mavlink.link.scan import Scanner, frame_end, next_frame, sender
+from companion.adapters.mavlink.link.scan import Scanner, sender, split_frames
 from companion.adapters.recordings.logs.tlog import EARLIEST_US
 from companion.records import RawChunk
 
@@ -43,9 +43,7 @@ def write_tlog(path: Path, chunks: Iterable[RawChunk], offset_ns: int) -> int:
 def _frames(chunks: Iterable[RawChunk]) -> Iterator[tuple[int, bytes]]:
     unfinished: dict[int, bytes] = {}
     for chunk in chunks:
-        buffer = unfinished.get(chunk.link, b"") + chunk.data
-        at = next_frame(buffer, 0)
-        while at < len(buffer) and (after := frame_end(buffer, at)) > 0:
-            yield chunk.received_host_ns, buffer[at:after]
-            at = next_frame(buffer, after)
-        unfinished[chunk.link] = buffer[at:]
+        pieces, unfinished[chunk.link] = split_frames(unfinished.get(chunk.link, b"") + chunk.data)
+        for piece, is_frame in pieces:
+            if is_frame:
+                yield chunk.received_host_ns, piece
