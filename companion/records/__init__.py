@@ -10,7 +10,7 @@ tip, positive when the tips bend up; tip quantities are ``[left, right]``:
 
 from __future__ import annotations
 
-from companion.records.imaging import Flow, Frame, FramePair, MatchSet
+from companion.records.imaging import PLAN_UNKNOWN, Flow, Frame, FramePair, MatchSet
 from companion.records.inertial import (
     AutopilotParameter,
     ClockRestart,
@@ -26,6 +26,7 @@ from companion.records.service import OVERLOADED, Notice, Rejected, ServiceStatu
 from companion.records.tracking import ClockState, Deflection, ModeEstimate, ModeState
 from companion.records.trigger import CameraFeedback, Shot, TriggerLatency, TriggerPlan
 from companion.records.vocabulary import (
+    AXIS_LETTERS,
     Axis,
     Bools,
     Bytes,
@@ -72,10 +73,10 @@ OutputRecord = (
 Record = InputRecord | OutputRecord
 
 __all__ = [
-    "OVERLOADED", "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback", "ClockName", "ClockRestart",
-    "ClockState", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame", "FramePair", "Health",
-    "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange", "Notice", "ObstacleSectors",
-    "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected", "RelativeRotation",
-    "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency", "TriggerPlan",
-    "Validity", "VehicleState",
+    "AXIS_LETTERS", "OVERLOADED", "PLAN_UNKNOWN", "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback",
+    "ClockName", "ClockRestart", "ClockState", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame",
+    "FramePair", "Health", "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange",
+    "Notice", "ObstacleSectors", "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected",
+    "RelativeRotation", "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency",
+    "TriggerPlan", "Validity", "VehicleState",
 ]  # fmt: skip

@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 from companion.records.vocabulary import Bytes, ClockName, Floats, Ints, Side
 
+PLAN_UNKNOWN = -1
+"""No camera knows which plan opened its shutter; pairing by exposure time is the service's business (convention)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -18,6 +21,8 @@ class Frame:
         Middle of the exposure of the middle row, on ``clock``.
     row_time_ns : int
         Time between the starts of two rows; 0 for a global shutter.
+    plan_id : int
+        The plan that fired it, or :data:`PLAN_UNKNOWN`.
     """
 
     side: Side

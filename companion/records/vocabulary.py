@@ -11,6 +11,8 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
+AXIS_LETTERS = "xyzpqr"
+"""Axes of an inertial sensor: specific force along x, y, z, angular rate about them."""
 
 
 class Station(enum.IntEnum):
@@ -52,6 +54,16 @@ class Axis(enum.IntFlag):
     ACCEL = 7
     GYRO = 56
     ALL = 63
+
+    @classmethod
+    def of(cls, letters: str) -> Axis:
+        """The axes of some letters of "xyzpqr"."""
+        return cls(sum(1 << AXIS_LETTERS.index(letter) for letter in set(letters)))
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of ``ImuBatch.values`` that hold these axes."""
+        return [column for column in range(len(AXIS_LETTERS)) if self >> column & 1]
 
 
 class Reject(enum.StrEnum):

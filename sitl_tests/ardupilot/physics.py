@@ -25,13 +25,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe
+from companion.records import PLAN_UNKNOWN
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.perturb import TrueClock
 from companion.sim.flight.sensors import SensorStream
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.nodes import WingNode
 from companion.sim.vehicle.world import VehicleLink
-from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
+from companion.sim.vision.cameras import SimTriggerLine
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines, stamp_of
 from sitl_tests.ardupilot.steered import SteeredFrames
 

@@ -19,9 +19,9 @@ from companion.errors import DeviceError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.ports import CameraPair, Trigger
-from companion.records import ClockName, Firing, Frame, Side, TriggerPlan
+from companion.records import PLAN_UNKNOWN, ClockName, Firing, Frame, Side, TriggerPlan
 from companion.sim.vision.camera_server import CameraServer, CameraServerConfig, start_camera_server
-from companion.sim.vision.cameras import PLAN_UNKNOWN, Shutters, SimCameraPair, SimTriggerLine, render_pair
+from companion.sim.vision.cameras import Shutters, SimCameraPair, SimTriggerLine, render_pair
 from companion.sim.vision.renderer import ExposureInterval, Renderer
 from companion.sim.vision.scene import ground_scene
 from sitl_tests.physics.camera_flight import Path as FlightPath

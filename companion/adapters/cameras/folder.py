@@ -13,12 +13,10 @@ from pathlib import Path
 
 from companion.adapters.recordings.mcap.images import grey_of
 from companion.errors import DeviceError
-from companion.records import Bytes, ClockName, Frame, Side
+from companion.records import PLAN_UNKNOWN, Bytes, ClockName, Frame, Side
 
 _FOLDERS = ("cam0", "cam1")
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
-NO_PLAN = -1
-"""Recorded images do not know which plan opened their shutter (convention)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +84,7 @@ class FolderPair:
             mid_exposure_ns=entry.t_ns + self._to_middle_ns,
             exposure_ns=self._exposure_ns,
             row_time_ns=self._row_time_ns,
-            plan_id=NO_PLAN,
+            plan_id=PLAN_UNKNOWN,
             image=read_grey(entry.path),
         )
 

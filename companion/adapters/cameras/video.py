@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 
 from companion.errors import DeviceError
-from companion.records import Bytes, ClockName, Frame, Side
-
-PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
+from companion.records import PLAN_UNKNOWN, Bytes, ClockName, Frame, Side
 
 
 class CapturePair:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from companion.params.airframe import Sensor
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, TimesyncReply, VehicleState
 from companion.sim.flight.aircraft import airspeed
 from companion.sim.flight.flight import LOOP_HZ, Flight
@@ -18,7 +17,6 @@ _READ_NS = 5_000_000  # chosen: the service reads its link at least so often
 _TIMESYNC_NS = 100_000_000  # convention: the adapter's ten exchanges a second
 _VEHICLE_NS = 100_000_000  # chosen: ten states a second, the rate of an autopilot's own attitude stream
 Arriving = AutopilotParameter | ImuBatch | TimesyncReply | VehicleState
-_LETTERS = (("x", Axis.X), ("y", Axis.Y), ("z", Axis.Z), ("p", Axis.P), ("q", Axis.Q), ("r", Axis.R))
 
 
 def flight_records(flight: Flight) -> Iterator[Arriving]:
@@ -30,15 +28,6 @@ def flight_records(flight: Flight) -> Iterator[Arriving]:
     records: list[Arriving] = [*_parameters(flight), *_batches(flight), *_exchanges(flight), *_vehicle_states(flight)]
     # the sort is stable: what arrives together keeps this order
     yield from sorted(records, key=lambda record: record.received_host_ns)
-
-
-def sent_axes(sensor: Sensor) -> Axis:
-    """The axes that a sensor sends."""
-    axes = Axis.NONE
-    for letter, axis in _LETTERS:
-        if letter in sensor.sends:
-            axes |= axis
-    return axes
 
 
 def _parameters(flight: Flight) -> Iterator[AutopilotParameter]:
@@ -62,7 +51,7 @@ def _reads(stream: SensorStream, rng: np.random.Generator) -> Iterator[ImuBatch]
     arrival = np.maximum.accumulate(stream.sent_boot_ns + delay)
     edges = np.flatnonzero(np.diff(arrival // _READ_NS)) + 1
     bounds = [0, *edges.tolist(), len(arrival)]
-    axes = sent_axes(stream.sensor)
+    axes = Axis.of(stream.sensor.sends)
     for start, stop in itertools.pairwise(bounds):
         if stop > start:
             received = HOST_EPOCH_NS + int(arrival[stop - 1])

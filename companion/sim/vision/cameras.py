@@ -18,7 +18,7 @@ import numpy as np
 
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe, Camera
-from companion.records import ClockName, Frame, FramePair, Shot, Side, TriggerPlan
+from companion.records import PLAN_UNKNOWN, ClockName, Frame, FramePair, Shot, Side, TriggerPlan
 from companion.sim.vision.renderer import ExposureInterval, Renderer
 
 PULSE = struct.Struct("<qq")
@@ -28,8 +28,6 @@ HEADER = struct.Struct("<IIqqqqII")
 """magic, side, sequence, mid-exposure (host ns), exposure ns, row time ns, rows, columns; then the pixels."""
 
 MAGIC = 0x53574652  # "SWFR" in ASCII (convention)
-PLAN_UNKNOWN = -1
-"""No camera knows which plan opened its shutter; pairing by exposure time is the service's business (convention)."""
 
 _LATENCY_JITTER_S = 0.00015  # chosen: a path that repeats well, and whose rest the service has to bear
 # chosen: five minutes, for a machine that renders its first images under load

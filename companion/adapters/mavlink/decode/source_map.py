@@ -14,7 +14,6 @@ from companion.params.airframe import Airframe, Source
 from companion.records import Axis, ClockName, Floats, Ints, Station
 
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1 (MAVLink common.xml)
-_LETTERS = "xyzpqr"
 _NANOSECONDS = 1_000_000_000  # per second (by definition)
 
 
@@ -94,7 +93,7 @@ def _mapped(airframe: Airframe, station: Station) -> MappedSource:
         _fail(airframe, station, f"message '{source.message}' is not an inertial message; known: {inertial}")
     if layout.named and not source.instance:
         _fail(airframe, station, f"{source.message} needs 'instance', the name that the node gives it")
-    sends = layout.axes & Axis(sum(1 << _LETTERS.index(letter) for letter in set(sensor.sends)))
+    sends = layout.axes & Axis.of(sensor.sends)
     matrix = _rotation(airframe, station, source)
     if sends & Axis.GYRO and np.linalg.det(matrix) < 0:
         _fail(airframe, station, f"axes {list(source.axes)} mirror the sensor; a gyro can only be turned")

@@ -117,18 +117,16 @@ def _unpack_chunk(cursor: _Cursor) -> RawChunk:
 
 def _pack_imu(batch: ImuBatch) -> bytes:
     values = np.ascontiguousarray(batch.values, dtype="<f8")
-    columns = int(batch.axes)
-    if columns != int(Axis.ALL):
-        unsent = [i for i in range(6) if not columns >> i & 1]
-        if values[:, unsent].view("<u8").any():
-            columns = int(Axis.ALL)
-        else:
-            values = values[:, [i for i in range(6) if columns >> i & 1]]
+    stored = batch.axes
+    if stored != Axis.ALL and values[:, (Axis.ALL & ~stored).columns].view("<u8").any():
+        stored = Axis.ALL
+    if stored != Axis.ALL:
+        values = values[:, stored.columns]
     return b"".join(
         (
             struct.pack("<B", batch.station),
             _blob(batch.clock.encode()),
-            struct.pack("<BqB", int(batch.axes), batch.received_host_ns, columns),
+            struct.pack("<BqB", int(batch.axes), batch.received_host_ns, int(stored)),
             _array(batch.t_ns, "<i8"),
             _array(values, "<f8"),
         )
@@ -140,7 +138,7 @@ def _unpack_imu(cursor: _Cursor) -> ImuBatch:
     clock = ClockName(cursor.blob().decode())
     axes, received_host_ns, columns = cursor.take("<BqB")
     t_ns = cursor.array("<i8")
-    stored = [i for i in range(6) if columns >> i & 1]
+    stored = Axis(columns).columns
     values = np.zeros((t_ns.size, 6))
     values[:, stored] = cursor.array("<f8").reshape(t_ns.size, len(stored))
     return ImuBatch(Station(station), clock, t_ns, values, Axis(axes), received_host_ns)

@@ -70,9 +70,8 @@ def _seconds(t_ns: Ints) -> Floats:
 
 def _columns(stream: InertialStream) -> Iterable[tuple[str, Floats]]:
     place = stream.station.name.lower()
-    for i, name in enumerate(_NAMES):
-        if stream.axes >> i & 1:
-            yield f"{place}_{name}", stream.values[:, i]
+    for column in stream.axes.columns:
+        yield f"{place}_{_NAMES[column]}", stream.values[:, column]
 
 
 def _joined(batches: list[ImuBatch]) -> InertialStream:
