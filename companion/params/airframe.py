@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.errors import ConfigError
-from companion.records import ClockName, Station
+from companion.records import ClockName, Side, Station
 from companion.units import Orientation
 
 Vector3 = tuple[float, float, float]
@@ -238,6 +238,17 @@ class Airframe:
         if self.left_camera is None or self.right_camera is None:
             raise ConfigError(f"airframe '{self.name}' has no camera pair")
         return self.left_camera, self.right_camera
+
+    def with_sensors(self, change: Callable[[Station, Sensor], Sensor]) -> Airframe:
+        """The airframe with each sensor replaced by what ``change`` makes of its station and itself."""
+        root, left, right = (change(station, self.sensor(station)) for station in Station)
+        return dataclasses.replace(self, root=root, left=left, right=right)
+
+    def with_cameras(self, change: Callable[[Side, Camera], Camera]) -> Airframe:
+        """The airframe with each camera, where it has one, replaced by what ``change`` makes of its side and itself."""
+        cameras = zip(Side, (self.left_camera, self.right_camera), strict=True)
+        left, right = (None if camera is None else change(side, camera) for side, camera in cameras)
+        return dataclasses.replace(self, left_camera=left, right_camera=right)
 
     def sensor(self, station: Station) -> Sensor:
         """The sensor of a station."""

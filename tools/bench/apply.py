@@ -198,23 +198,15 @@ def toe_error_rad(flight: Flight, airframe: Airframe, flown: Tracked, at_ns: Seq
         return math.nan, math.nan
     cameras = apply_to_airframe(flight.real.actual)
     believed, real = Rig.from_airframe(flight.airframe), Rig.from_airframe(cameras)
-    rig = Rig.from_airframe(apply_to_airframe(airframe))
+    applied = apply_to_airframe(airframe)
+    rig, focal_px = Rig.from_airframe(applied), applied.camera_pair[0].focal_px.value
     series = flight.truth.series(np.array(at_ns, dtype=np.int64))
-    inverse, errors = 1.0 / _AT_M, []
+    inverse, focal, errors = 1.0 / _AT_M, cameras.camera_pair[0].focal_px.value, []
     for row, t_ns in enumerate(at_ns):
-        focal, wider = focal_px(cameras), real.baseline_m
-        measured = focal * (wider * inverse + toe_rad(believed, real, series, row))
-        made = focal_px(apply_to_airframe(airframe)) * (
-            rig.baseline_m * inverse + _toe_of(believed, rig, flown.bends[t_ns])
-        )
+        measured = focal * (real.baseline_m * inverse + toe_rad(believed, real, series, row))
+        made = focal_px * (rig.baseline_m * inverse + _toe_of(believed, rig, flown.bends[t_ns]))
         errors.append((made - measured) / focal)
     return float(np.sqrt(np.mean(np.square(errors)))), float(np.std(errors))
-
-
-def focal_px(airframe: Airframe) -> float:
-    """Focal length of the left camera; both are alike here."""
-    assert airframe.left_camera is not None
-    return airframe.left_camera.focal_px.value
 
 
 def _toe_of(believed: Rig, rig: Rig, bend: Deflection) -> float:

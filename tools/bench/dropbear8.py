@@ -301,8 +301,12 @@ def main(arguments: list[str]) -> int:
         print(f"{score.name:14s}{cells}  {score.judged:6.2f} {score.refused:7.2f} {score.judge}", flush=True)
         by_gauges = not np.isnan(score.floor_deg)
         missed |= by_gauges and any(m > t for m, t in zip(score.median_deg, TARGETS_DEG, strict=True))
-    print(f"targets by the gauges: {TARGETS_DEG[0]} deg at 0 ms, {TARGETS_DEG[1]} deg at 10 ms:", end=" ")
-    print("missed" if missed else "held")
+    return _print_verdict(missed=missed)
+
+
+def _print_verdict(*, missed: bool) -> int:
+    verdict = "missed" if missed else "held"
+    print(f"targets by the gauges: {TARGETS_DEG[0]} deg at 0 ms, {TARGETS_DEG[1]} deg at 10 ms: {verdict}")
     return int(missed)
 
 
@@ -315,9 +319,7 @@ def _print_left_out(rows: list[LeftOut]) -> int:
         )
         print(f"{row.name:14s} {cells}   {row.chosen}", flush=True)
     missed = any(m > t for row in rows for m, t in zip(row.median_deg, TARGETS_DEG, strict=True))
-    print(f"targets by the gauges: {TARGETS_DEG[0]} deg at 0 ms, {TARGETS_DEG[1]} deg at 10 ms:", end=" ")
-    print("missed" if missed else "held")
-    return int(missed)
+    return _print_verdict(missed=missed)
 
 
 if __name__ == "__main__":

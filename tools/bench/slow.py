@@ -105,15 +105,9 @@ def wide_airframe() -> Airframe:
     """
     base = as_calibrated(load_airframe("nadir-2m"), IDEAL)
     wing = dataclasses.replace(base.wing, trim_bend_m=Uncertain(0.0149, 0.002), bend_per_g_m=Uncertain(0.0149, 0.002))
-    assert base.left_camera is not None
-    assert base.right_camera is not None
     drifting: dict[str, Any] = {"drift_sigma_rad": 0.0004, "drift_time_s": 120.0}
-    return dataclasses.replace(
-        base,
-        wing=wing,
-        left_camera=dataclasses.replace(base.left_camera, **drifting),
-        right_camera=dataclasses.replace(base.right_camera, **drifting),
-    )
+    base = base.with_cameras(lambda _, camera: dataclasses.replace(camera, **drifting))
+    return dataclasses.replace(base, wing=wing)
 
 
 def run(seeds: Iterable[int] = range(1, 5), duration_s: float = 60.0) -> list[Scored]:
@@ -138,18 +132,18 @@ class TrueEyes:
         self._tips = TipMotion.from_airframe(flight.real.actual)
         rng = flight.generator("thermal set")
         count = round(flight.duration_s) + 3
-        self._thermal = np.stack([_wandering(camera, count, rng) for camera in _cameras(flight.airframe)])
+        self._thermal = np.stack([_wandering(camera, count, rng) for camera in flight.airframe.camera_pair])
 
     def rig(self, t_boot_ns: int) -> Rig:
         """The rig as it really is at an instant."""
         seconds = np.arange(self._thermal.shape[1])
-        cameras = []
-        for side, camera in zip(Side, _cameras(self._flight.real.actual), strict=True):
+
+        def turned(side: Side, camera: Camera) -> Camera:
             heat = np.array([np.interp(t_boot_ns / _S, seconds, axis) for axis in self._thermal[side].T])
             x, y, z = log_rotation(exp_rotation(np.array(camera.rotation_rad)) @ exp_rotation(heat)).tolist()
-            cameras.append(dataclasses.replace(camera, rotation_rad=(x, y, z)))
-        actual = dataclasses.replace(self._flight.real.actual, left_camera=cameras[0], right_camera=cameras[1])
-        return Rig.from_airframe(actual)
+            return dataclasses.replace(camera, rotation_rad=(x, y, z))
+
+        return Rig.from_airframe(self._flight.real.actual.with_cameras(turned))
 
     def toe_rad(self, t_boot_ns: int) -> float:
         """True divergence beyond the believed ground calibration."""
@@ -194,12 +188,6 @@ class TrueEyes:
         ned = np.column_stack([flat, height - _ROLLING_M * rng.standard_normal(count)])
         points: Floats = ned @ truth.body_from_ned.T
         return points[points[:, 2] > 1.0]
-
-
-def _cameras(airframe: Airframe) -> tuple[Camera, Camera]:
-    assert airframe.left_camera is not None
-    assert airframe.right_camera is not None
-    return airframe.left_camera, airframe.right_camera
 
 
 def _wandering(camera: Camera, count: int, rng: np.random.Generator) -> Floats:

@@ -90,7 +90,6 @@ def _interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[st
 
 
 def _airframe(width: int, height: int, focal_px: float) -> Airframe:
-    airframe = load_airframe("nadir-2m")
     changes: dict[str, Any] = {
         "width_px": width,
         "height_px": height,
@@ -98,13 +97,7 @@ def _airframe(width: int, height: int, focal_px: float) -> Airframe:
         "principal_px": (0.5 * (width - 1), 0.5 * (height - 1)),
         "distortion": _LENS,
     }
-    assert airframe.left_camera is not None
-    assert airframe.right_camera is not None
-    return dataclasses.replace(
-        airframe,
-        left_camera=dataclasses.replace(airframe.left_camera, **changes),
-        right_camera=dataclasses.replace(airframe.right_camera, **changes),
-    )
+    return load_airframe("nadir-2m").with_cameras(lambda _, camera: dataclasses.replace(camera, **changes))
 
 
 def _images(width: int, height: int, disparity_px: int) -> tuple[Bytes, Bytes]:

@@ -73,17 +73,13 @@ class StruckPair(PosedPair):
         left_rad, right_rad = self._heat.rotation_rad(t_boot_ns / _S)
         if t_boot_ns >= STRUCK_S * _S:
             right_rad = right_rad + self._knock_rad
-        left, right = (
-            _turned(camera, turn_rad)
-            for camera, turn_rad in ((self._actual.left_camera, left_rad), (self._actual.right_camera, right_rad))
-        )
-        airframe = dataclasses.replace(self._actual, left_camera=left, right_camera=right)
+        turns_rad = (left_rad, right_rad)
+        airframe = self._actual.with_cameras(lambda side, camera: _turned(camera, turns_rad[side]))
         return PosedPair(airframe, self.truth, self.scene)
 
 
-def _turned(camera: Camera | None, turn_rad: Floats) -> Camera:
+def _turned(camera: Camera, turn_rad: Floats) -> Camera:
     """The camera with a small rotation (3,) more, camera axes."""
-    assert camera is not None, "a pair has both"
     x, y, z = (np.array(camera.rotation_rad) + turn_rad).tolist()
     return dataclasses.replace(camera, rotation_rad=(x, y, z))
 

@@ -135,27 +135,12 @@ def build_flight(
     perturbed: bool = True,
     world: Conditions = IDEAL,
 ) -> Flight:
-    """Fly an airframe.
+    """Fly an airframe: the truth is drawn from the priors of this belief, and the seed determines everything.
 
-    Parameters
-    ----------
-    airframe : Airframe
-        The belief; the truth is drawn from its priors.
-    seed : int
-        Determines everything.
-    duration_s : float
-        Length of the demo's flight, where no plan is given.
-    plan : FlightPlan, optional
-        What is flown instead.
-    effects : tuple of NamedEffect
-        Hidden in the truth, unknown to the belief.
-    gust : GustKind
-        Spectrum of the load.
-    perturbed : bool
-        False takes the belief as truth (noise and bias stay): for tests that need it.
-    world : Conditions
-        Vibration, sensors, lenses and weather, drawn by a generator of their own; ``gust`` other than that of the
-        airframe overrides the weather's.
+    Without a ``plan`` the demo's is flown, for ``duration_s``. ``effects`` are hidden in the truth, unknown to the
+    belief. Without ``perturbed`` the belief is taken as truth (noise and bias stay): for tests that need it. ``world``
+    has vibration, sensors, lenses and weather, drawn by a generator of their own; ``gust``, the spectrum of the load,
+    overrides the weather's where it is another than the airframe's.
     """
     weather_rng, wear_rng, shake_rng = (np.random.default_rng([seed, *purpose]) for purpose in _WORLD_PURPOSES)
     plan = gusty(plan or demo_plan(duration_s), world.weather, weather_rng)
@@ -183,8 +168,7 @@ def undisturbed(flight: Flight) -> Flight:
         for station in Station
     ]
     backends, nodes = _sampled(sensors, flight.real, flight.duration_s, flight.seed)
-    root, left, right = (_as_noisy(belief.sensor(station), actual.sensor(station)) for station in Station)
-    airframe = dataclasses.replace(belief, root=root, left=left, right=right)
+    airframe = belief.with_sensors(lambda station, sensor: _as_noisy(sensor, actual.sensor(station)))
     return dataclasses.replace(flight, airframe=airframe, backends=backends, nodes=nodes)
 
 

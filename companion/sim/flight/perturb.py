@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from companion.params.airframe import Airframe, Camera, NamedEffect, Sensor, Uncertain
-from companion.records import ClockName, Floats, Station
+from companion.records import ClockName, Floats, Ints, Station
 
 # positive by nature: the prior is log-normal (companion.params.airframe)
 _LOG_NORMAL = ("frequency_hz", "damping", "deflection_rms_m")
@@ -45,6 +45,10 @@ class TrueClock:
         """Remote time at an instant of boot time."""
         return self.epoch_ns + t_boot_ns + round(t_boot_ns * self.skew_ppm * 1e-6)
 
+    def to_boot(self, remote_ns: Ints) -> Ints:
+        """Boot times (n,) at which the clock shows these."""
+        return np.round((remote_ns - self.epoch_ns) / (1 + self.skew_ppm * 1e-6)).astype(np.int64)
+
 
 @dataclass(frozen=True, slots=True)
 class TruthAirframe:
@@ -69,25 +73,19 @@ class TruthAirframe:
 
 def draw_truth(airframe: Airframe, rng: np.random.Generator, effects: tuple[NamedEffect, ...] = ()) -> TruthAirframe:
     """Draw every :class:`Uncertain`, the sensor errors, the gust's colour and the clocks; add hidden effects."""
-    actual = _drawn(airframe, rng)
+    actual: Airframe = _drawn(airframe, rng)
     corners = tuple(
         corner * math.exp(_CORNER_SPREAD * rng.standard_normal()) for corner in airframe.wing.gust.corners_hz
     )
     gust = dataclasses.replace(actual.wing.gust, corners_hz=corners)
     actual = dataclasses.replace(
-        actual,
-        wing=dataclasses.replace(actual.wing, gust=gust),
-        left_camera=_mounted(actual.left_camera, rng),
-        right_camera=_mounted(actual.right_camera, rng),
-        effects=(*airframe.effects, *effects),
-    )
+        actual, wing=dataclasses.replace(actual.wing, gust=gust), effects=(*airframe.effects, *effects)
+    ).with_cameras(lambda _, camera: _mounted(camera, rng))
     errors = {station: _sensor_errors(airframe.sensor(station), rng) for station in Station}
     clocks = {name: _clock(rng) for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)}
     ratio = _ANTISYMMETRIC_RATIO * math.exp(0.2 * rng.standard_normal())
     (later,) = rng.spawn(1)  # what came later to the file leaves the draws of all else as they were
-    actual = dataclasses.replace(
-        actual, root=_placed(actual.root, later), left=_placed(actual.left, later), right=_placed(actual.right, later)
-    )
+    actual = actual.with_sensors(lambda _, sensor: _placed(sensor, later))
     return TruthAirframe(actual, errors, clocks, ratio * gust.deflection_rms_m.value)
 
 
@@ -124,10 +122,8 @@ def _draw_parameter(name: str, belief: Uncertain, rng: np.random.Generator) -> U
     return Uncertain(max(value, _SHORTEST_LATENCY_S) if name == "latency_s" else value)
 
 
-def _mounted(camera: Camera | None, rng: np.random.Generator) -> Camera | None:
+def _mounted(camera: Camera, rng: np.random.Generator) -> Camera:
     """The camera turned by its rotation prior."""
-    if camera is None:
-        return None
     turn = np.array(camera.rotation_rad) + camera.rotation_sigma_rad * rng.standard_normal(3)
     x, y, z = turn.tolist()
     return dataclasses.replace(camera, rotation_rad=(x, y, z), rotation_sigma_rad=0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from companion.core.wing.model import WingModel
 from companion.core.wing.sensing import ModalPath, RigidMotion, lever_arm_mps2, sense_station
 from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, Ints, Side, Station
+from companion.sim.flight.gauss_markov import between, wandering
 from companion.sim.flight.perturb import SensorErrors, TrueClock
 from companion.sim.flight.truth import FlightTruth, TruthSeries
 from companion.sim.flight.vibration import SensorDisturbance
@@ -79,15 +81,18 @@ def _averaged(truth: FlightTruth, model: WingModel, middle: TruthSeries, window_
 
 
 def corrupted(
-    readings: Floats, t_s: Floats, sensor: Sensor, errors: SensorErrors, rate_hz: float, rng: np.random.Generator
+    readings: Floats, drift: Floats, sensor: Sensor, errors: SensorErrors, rate_hz: float, rng: np.random.Generator
 ) -> Floats:
-    """Add misalignment, scale, drifting bias and white noise to ideal readings (n, 6) taken at ``rate_hz``."""
+    """Add misalignment, scale, bias and white noise to ideal readings (n, 6) taken at ``rate_hz``.
+
+    ``drift`` (n, 6) are the biases in multiples of their sigma.
+    """
     turn = exp_rotation(-errors.misalignment_rad)
     values = np.hstack([readings[:, :3] @ turn.T, readings[:, 3:] @ turn.T])
     values *= 1.0 + np.concatenate([errors.accel_scale, errors.gyro_scale])
     sigma = np.repeat([sensor.accel_bias_sigma_mps2, sensor.gyro_bias_sigma_radps], 3)
     density = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
-    values += sigma * drifting(t_s, sensor.bias_time_s, 6, rng)
+    values += sigma * drift
     # a one-sided density d sampled at f over its Nyquist band has the variance d^2 f / 2
     values += density * math.sqrt(rate_hz / 2) * rng.standard_normal(values.shape)
     return values
@@ -95,14 +100,8 @@ def corrupted(
 
 def drifting(t_s: Floats, time_s: float, columns: int, rng: np.random.Generator) -> Floats:
     """Ornstein-Uhlenbeck paths of unit variance, (n, columns), exact every half second and straight in between."""
-    count = int(t_s[-1] / _BIAS_STEP_S) + 2
-    keep = math.exp(-_BIAS_STEP_S / time_s)
-    coarse = rng.standard_normal((count, columns))
-    coarse[1:] *= math.sqrt(1 - keep**2)
-    for k in range(1, count):
-        coarse[k] += keep * coarse[k - 1]
-    grid = np.arange(count) * _BIAS_STEP_S
-    return np.stack([np.interp(t_s, grid, coarse[:, column]) for column in range(columns)], 1)
+    nodes_s = np.arange(int(t_s[-1] / _BIAS_STEP_S) + 2) * _BIAS_STEP_S
+    return between(nodes_s, wandering((len(nodes_s), columns), _BIAS_STEP_S / time_s, rng), t_s)
 
 
 def limited(values: Floats, sensor: Sensor) -> Floats:
@@ -123,22 +122,32 @@ def on_wire(values: Floats, sensor: Sensor) -> Floats:
 
 
 def lowpassed(values: Floats, accel_hz: float, gyro_hz: float, rate_hz: float) -> Floats:
-    """Run the autopilot's biquads over (n, 6) samples; a cutoff of 0, or beyond the filter's reach, passes all."""
-    out = values.copy()
-    for columns, cutoff in ((slice(0, 3), accel_hz), (slice(3, 6), gyro_hz)):
-        if 0 < cutoff < 0.45 * rate_hz:
-            out[:, columns] = _filtered(values[:, columns], Biquad.lowpass(cutoff, rate_hz))
-    return out
+    """Run the autopilot's low-passes over all samples (n, 6) of a flight."""
+    return np.hstack([Lowpass(accel_hz, rate_hz).run(values[:, :3]), Lowpass(gyro_hz, rate_hz).run(values[:, 3:])])
 
 
-def _filtered(values: Floats, biquad: Biquad) -> Floats:
-    """Give what ``Biquad.run`` gives, by scipy's compiled loop."""
-    from scipy.signal import lfilter  # 0.8 s to import, so late
+class Lowpass:
+    """The autopilot's biquad over (n, 3) samples that may come by segments; settled on the first.
 
-    b, a = np.array(biquad.b), np.array([1.0, *biquad.a])
-    # settled on the first sample: the direct form's two states
-    start = np.stack([(1 - b[0]) * values[0], (b[2] - a[2]) * values[0]])
-    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0])
+    It gives what ``Biquad.run`` gives, by scipy's compiled loop. A cutoff of 0, or beyond the filter's reach, passes
+    all.
+    """
+
+    def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
+        self._biquad = Biquad.lowpass(cutoff_hz, rate_hz) if 0.0 < cutoff_hz < 0.45 * rate_hz else None
+        self._state: Any = None
+
+    def run(self, values: Floats) -> Floats:
+        """Filter the next segment."""
+        from scipy.signal import lfilter  # 0.8 s to import, so late
+
+        if self._biquad is None or not len(values):
+            return values
+        b, a = np.array(self._biquad.b), np.array([1.0, *self._biquad.a])
+        if self._state is None:  # the direct form's two states
+            self._state = np.stack([(1 - b[0]) * values[0], (b[2] - a[2]) * values[0]])
+        out, self._state = lfilter(b, a, values, axis=0, zi=self._state)
+        return np.asarray(out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,17 +164,22 @@ class RealSensor:
     def sample(self, t_boot_ns: Ints, period_ns: int, rng: np.random.Generator) -> Floats:
         """Raw samples (n, 6) stamped ``t_boot_ns``, before low-pass, saturation and quantisation."""
         t_s: Floats = t_boot_ns * np.float64(1e-9)
-        shown = t_s - self.errors.time_offset_s
-        for effect in self.model.effects:
-            shown = effect.sample_time(self.station, shown)
-        end_ns = round(self.truth.duration_s * 1e9)
-        shown_ns = np.clip(np.round(shown * 1e9).astype(np.int64), period_ns, end_ns - period_ns)
-        readings = station_readings(self.truth, self.model, self.station, self.sensor, shown_ns, period_ns)
-        felt = sensed(self.model.effects, self.station, t_s, readings)
-        values = corrupted(felt, t_s, self.sensor, self.errors, 1e9 / period_ns, rng)
+        shown_s, readings = self.felt(t_boot_ns, period_ns)
+        drift = drifting(t_s, self.sensor.bias_time_s, 6, rng)
+        values = corrupted(readings, drift, self.sensor, self.errors, 1e9 / period_ns, rng)
         if self.disturbance is None:
             return values
-        return self.disturbance.felt(values, shown, period_ns * 1e-9, self.sensor, rng)
+        return self.disturbance.felt(values, shown_s, period_ns * 1e-9, self.sensor, rng)
+
+    def felt(self, t_boot_ns: Ints, period_ns: int) -> tuple[Floats, Floats]:
+        """Instants (n,) that samples stamped ``t_boot_ns`` show, and the readings (n, 6) there with all effects."""
+        t_s: Floats = t_boot_ns * np.float64(1e-9)
+        shown_s = t_s - self.errors.time_offset_s
+        for effect in self.model.effects:
+            shown_s = effect.sample_time(self.station, shown_s)
+        shown_ns = np.clip(np.round(shown_s * 1e9).astype(np.int64), period_ns, self.truth.end_ns - period_ns)
+        readings = station_readings(self.truth, self.model, self.station, self.sensor, shown_ns, period_ns)
+        return shown_s, sensed(self.model.effects, self.station, t_s, readings)
 
     def finish(self, raw: Floats, rate_hz: float) -> Floats:
         """Saturate and quantise values (n, 6), low-pass as the airframe says, and round as the message does."""
@@ -181,7 +195,7 @@ def node_stream(real: RealSensor, clock: TrueClock, duration_s: float, rng: np.r
     first = clock.from_boot(2 * period) + int(rng.integers(period))
     count = int((duration_s * 1e9 - 4 * period) // period)
     node_ns = first + period * np.arange(count, dtype=np.int64)
-    boot = np.round((node_ns - clock.epoch_ns) / (1 + clock.skew_ppm * 1e-6)).astype(np.int64)
+    boot = clock.to_boot(node_ns)
     values = real.finish(real.sample(boot, period, rng), sensor.rate_hz)
     # the window must end before the sample exists; then a little work and the wire
     delay = period // 2 + 150_000 + rng.exponential(50_000.0, count).astype(np.int64)

@@ -74,9 +74,7 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
     times = np.arange(step, int(flight.duration_s * 1e9), step, dtype=np.int64) + rng.integers(0, step // 2)
     times = times[times < flight.duration_s * 1e9]
     cameras = apply_to_airframe(flight.real.actual)  # turned, moved and focused as hidden effects have them
-    left, believed = cameras.left_camera, flight.airframe.left_camera
-    assert left is not None
-    assert believed is not None
+    left, believed = cameras.camera_pair[0], flight.airframe.camera_pair[0]
     real, belief = Rig.from_airframe(cameras), Rig.from_airframe(flight.airframe)
     late_s = np.mean([viewed(flight.model.effects, side, 0.0).exposure_delay_s for side in Side])
     truth = flight.truth.series(times + round(1e9 * late_s))

@@ -132,9 +132,14 @@ class FlightTruth:
         return np.arange(len(self.knots), dtype=np.int64) * self.step_ns
 
     @property
-    def duration_s(self) -> float:
+    def end_ns(self) -> int:
         """Boot time of the last knot."""
-        return (len(self.knots) - 1) * self.step_ns * 1e-9
+        return (len(self.knots) - 1) * self.step_ns
+
+    @property
+    def duration_s(self) -> float:
+        """The same in seconds."""
+        return self.end_ns * 1e-9
 
     def at(self, t_boot_ns: int) -> TruthSample:
         """Give the truth at one instant.
@@ -177,7 +182,7 @@ class FlightTruth:
 
     def _interpolate(self, t_boot_ns: Ints) -> tuple[Floats, Floats]:
         """Cubic Hermite values and derivatives (n, 12 + s)."""
-        end = (len(self.knots) - 1) * self.step_ns
+        end = self.end_ns
         if t_boot_ns.size and (t_boot_ns.min() < 0 or t_boot_ns.max() > end):
             raise ValueError(f"boot time {t_boot_ns.min()}..{t_boot_ns.max()} ns is outside the flight 0..{end} ns")
         index = np.minimum(t_boot_ns // self.step_ns, len(self.knots) - 2)

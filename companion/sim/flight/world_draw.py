@@ -14,6 +14,7 @@ import numpy as np
 from companion.params.airframe import Airframe, Camera, Sensor, Uncertain
 from companion.records import Floats, Station
 from companion.sim.flight.aircraft import FlightPlan, PullUp
+from companion.sim.flight.gauss_markov import between, wandering
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.perturb import TruthAirframe
 from companion.sim.flight.truth import FlightTruth
@@ -56,14 +57,11 @@ def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:
 
 def as_calibrated(airframe: Airframe, world: Conditions) -> Airframe:
     """The airframe file as the calibration of a world's cameras writes it: with the sigmas that it states."""
-    left, right = (_stated(camera, world.stated) for camera in (airframe.left_camera, airframe.right_camera))
-    return dataclasses.replace(airframe, left_camera=left, right_camera=right)
+    return airframe.with_cameras(lambda _, camera: _stated(camera, world.stated))
 
 
-def _stated(camera: Camera | None, lenses: LensResiduals) -> Camera | None:
+def _stated(camera: Camera, lenses: LensResiduals) -> Camera:
     """The camera with these sigmas, as terms of ``core.stereo.lens_residual``: a tilt is ``2 P - c``, a prism ``P``."""
-    if camera is None:
-        return None
     tilt_rad = math.hypot(lenses.principal_px / camera.focal_px.value, 2.0 * lenses.tangential)
     return dataclasses.replace(
         camera, tilt_sigma_rad=tilt_rad, prism_sigma=lenses.tangential, radial_sigma=lenses.radial
@@ -78,15 +76,10 @@ def worn(real: TruthAirframe, world: Conditions, rng: np.random.Generator) -> Tr
     actual = real.actual
     ratio = log_uniform(world.weather.deflection_ratio, rng)
     rms = Uncertain(actual.wing.gust.deflection_rms_m.value * ratio)
-    actual = dataclasses.replace(
-        actual,
-        wing=dataclasses.replace(actual.wing, gust=dataclasses.replace(actual.wing.gust, deflection_rms_m=rms)),
-        root=_noisy(actual.root, world.sensors.noise_ratio, rng),
-        left=_noisy(actual.left, world.sensors.noise_ratio, rng),
-        right=_noisy(actual.right, world.sensors.noise_ratio, rng),
-        left_camera=_residual(actual.left_camera, world.lenses, rng),
-        right_camera=_residual(actual.right_camera, world.lenses, rng),
-    )
+    gust = dataclasses.replace(actual.wing.gust, deflection_rms_m=rms)
+    actual = dataclasses.replace(actual, wing=dataclasses.replace(actual.wing, gust=gust))
+    actual = actual.with_sensors(lambda _, sensor: _noisy(sensor, world.sensors.noise_ratio, rng))
+    actual = actual.with_cameras(lambda _, camera: _residual(camera, world.lenses, rng))
     return dataclasses.replace(real, actual=actual, antisymmetric_rms_m=real.antisymmetric_rms_m * ratio)
 
 
@@ -98,9 +91,7 @@ def _noisy(sensor: Sensor, ratio: Span, rng: np.random.Generator) -> Sensor:
     )
 
 
-def _residual(camera: Camera | None, lenses: LensResiduals, rng: np.random.Generator) -> Camera | None:
-    if camera is None:
-        return None
+def _residual(camera: Camera, lenses: LensResiduals, rng: np.random.Generator) -> Camera:
     k1, p1, p2, column, row, focal, place = rng.standard_normal(7).tolist()
     # a calibration knows where the middle of the image looks: a wrong principal point comes with the turn that hides it
     across, down = lenses.principal_px * column, lenses.principal_px * row
@@ -134,12 +125,12 @@ class NavigationError:
 
     def __init__(self, world: Conditions, duration_s: float, rng: np.random.Generator) -> None:
         self._nodes_s = np.arange(0.0, duration_s + 2.0)
-        self._nodes_mps = world.velocity_mps * _wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
+        self._nodes_mps = world.velocity_mps * wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
         self.euler_rad: Floats = np.array([world.level_rad] * 2 + [world.heading_rad]) * rng.standard_normal(3)
 
     def ned_mps(self, t_s: Floats) -> Floats:
         """Error (n, 3) of the velocity at instants (n,)."""
-        return _between(self._nodes_s, self._nodes_mps, t_s)
+        return between(self._nodes_s, self._nodes_mps, t_s)
 
 
 class HeatTurn:
@@ -147,27 +138,12 @@ class HeatTurn:
 
     def __init__(self, world: Conditions, duration_s: float, rng: np.random.Generator) -> None:
         self._nodes_s = np.arange(0.0, duration_s + 2.0)
-        path = world.heat_rad * _wandering((len(self._nodes_s), 2 * 3), 1.0 / world.heat_s, rng)
+        path = world.heat_rad * wandering((len(self._nodes_s), 2 * 3), 1.0 / world.heat_s, rng)
         self._nodes_rad = path - path[0]
 
     def rotation_rad(self, t_s: float) -> Floats:
         """Rotation vectors (2, 3) of left and right camera at an instant, camera axes."""
-        return _between(self._nodes_s, self._nodes_rad, np.array([t_s])).reshape(2, 3)
-
-
-def _between(nodes_s: Floats, nodes: Floats, t_s: Floats) -> Floats:
-    """Values (n, columns) at instants (n,), straight between nodes (k, columns)."""
-    return np.column_stack([np.interp(t_s, nodes_s, column) for column in nodes.T])
-
-
-def _wandering(shape: tuple[int, ...], step: float, rng: np.random.Generator) -> Floats:
-    """Gauss-Markov process of unit variance; ``step`` is that of a row over the correlation time."""
-    wander = rng.standard_normal(shape)
-    keep = math.exp(-step)
-    wander[1:] *= math.sqrt(1.0 - keep**2)
-    for k in range(1, len(wander)):
-        wander[k] += keep * wander[k - 1]
-    return wander
+        return between(self._nodes_s, self._nodes_rad, np.array([t_s])).reshape(2, 3)
 
 
 def disturbances(
@@ -196,7 +172,7 @@ class _Shaft:
 def _shaft(propulsion: Propulsion, truth: FlightTruth, rng: np.random.Generator) -> _Shaft:
     cruise_hz = log_uniform(propulsion.shaft_hz, rng)
     t_s = ShaftTurns.table_s(truth.duration_s)
-    wander = _wandering((len(t_s),), float(t_s[1]) / propulsion.wander_s, rng)
+    wander = wandering((len(t_s),), float(t_s[1]) / propulsion.wander_s, rng)
     ratio = (throttle(truth, t_s) / CRUISE_THROTTLE) ** propulsion.throttle_exponent
     return _Shaft(cruise_hz, ShaftTurns.from_rate(cruise_hz * ratio * (1.0 + propulsion.wander_ratio * wander)))
 

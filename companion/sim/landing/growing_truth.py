@@ -19,11 +19,6 @@ class GrowingTruth(FlightTruth):
         self._knots, self._derivatives = np.zeros((most, columns)), np.zeros((most, columns))
         super().__init__(self._knots[:0], self._derivatives[:0], shape, step_ns)
 
-    @property
-    def end_ns(self) -> int:
-        """Boot time of the last knot."""
-        return (len(self.knots) - 1) * self.step_ns
-
     def add(self, knot: Floats, derivative: Floats) -> None:
         """Add the next knot and its derivative, (12 + s,) each; raise IndexError where there is no room."""
         count = len(self.knots)

@@ -30,19 +30,8 @@ class Trim(NamedTuple):
         """Sixteen numbers of :class:`companion.sim.landing.flexible_aircraft.FlexibleAircraft`, heading north."""
         cos, sin = math.cos(self.climb_rad), math.sin(self.climb_rad)
         velocity = (self.airspeed_mps * cos, 0.0, -self.airspeed_mps * sin)
-        return [
-            north_m,
-            0.0,
-            -height_m,
-            *velocity,
-            0.0,
-            self.climb_rad + self.alpha_rad,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            *self.controls,
-        ]
+        attitude, rates = (0.0, self.climb_rad + self.alpha_rad, 0.0), (0.0, 0.0, 0.0)
+        return [north_m, 0.0, -height_m, *velocity, *attitude, *rates, *self.controls]
 
 
 def trimmed(plane: Airplane, airspeed_mps: float, climb_rad: float = 0.0) -> Trim:

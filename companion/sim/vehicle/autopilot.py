@@ -25,7 +25,7 @@ from companion.sim.vehicle.faults import Faults, boot_origin_ns
 from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
-from companion.sim.vehicle.wire import AUTOPILOT_ID, FrameSender, inertial_format, payloads, stamped
+from companion.sim.vehicle.wire import AUTOPILOT_ID, FrameSender, inertial_format, message_name, payloads, stamped
 
 _NS = 1_000_000_000  # by definition: nanoseconds of a second
 _TIMESYNC_NS = 10 * _NS  # convention: ArduPilot asks every ten seconds
@@ -296,8 +296,7 @@ class SimAutopilot:
 
     def _set_interval(self, number: int, interval_us: int, tick_ns: int) -> int:
         """Whole milliseconds, not faster than 0.8 of the loop rate: ArduPilot's GCS_MAVLINK::set_message_interval."""
-        kind = mavlink.mavlink_map.get(number)
-        name = kind.msgname if kind else ""
+        name = message_name(number)
         sends = name in _DEFAULT_MS or (self.protocol is not None and self.protocol.tells(name))
         if not sends and name not in _IMU_STATIONS and name not in self._imus:
             return int(mavlink.MAV_RESULT_FAILED)

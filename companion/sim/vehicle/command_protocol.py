@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.sim.vehicle.mission_protocol import MissionServer, from_wire, to_wire
 from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, FlightMode, ScriptedPilot
+from companion.sim.vehicle.wire import message_name
 
 PERIODS_MS = {
     "SYS_STATUS": 500,
@@ -70,18 +72,11 @@ class CommandProtocol:
     def _mode(self, message: Any) -> list[Any]:
         return [_ACCEPTED if self.pilot.set_mode(int(message.param2)) else _DENIED]
 
-    def _return(self, message: Any) -> list[Any]:
-        del message
-        self.pilot.set_mode(FlightMode.RTL)
+    def _change_to(self, mode: FlightMode) -> list[Any]:
+        self.pilot.set_mode(mode)
         return [_ACCEPTED]
 
-    def _loiter(self, message: Any) -> list[Any]:
-        del message
-        self.pilot.set_mode(FlightMode.LOITER)
-        return [_ACCEPTED]
-
-    def _start(self, message: Any) -> list[Any]:
-        del message
+    def _start(self, _message: Any) -> list[Any]:
         return [_ACCEPTED if len(self.pilot.items) > 1 and self.pilot.set_mode(FlightMode.AUTO) else _FAILED]
 
     def _select(self, message: Any) -> list[Any]:
@@ -104,8 +99,7 @@ class CommandProtocol:
 
     def _request(self, message: Any) -> list[Any]:
         """REQUEST_MESSAGE for what can be told here."""
-        kind = mavlink.mavlink_map.get(int(message.param1))
-        name = kind.msgname if kind else ""
+        name = message_name(int(message.param1))
         if name == "AUTOPILOT_VERSION":
             return [_ACCEPTED, _version()]
         if name in PERIODS_MS or name in _MOTION:
@@ -218,11 +212,11 @@ class CommandProtocol:
         )
 
 
-_HANDLERS = {
+_HANDLERS: dict[int, Callable[[CommandProtocol, Any], list[Any]]] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: CommandProtocol._arm,
     mavlink.MAV_CMD_DO_SET_MODE: CommandProtocol._mode,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandProtocol._return,
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: CommandProtocol._loiter,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda protocol, _: protocol._change_to(FlightMode.RTL),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda protocol, _: protocol._change_to(FlightMode.LOITER),
     mavlink.MAV_CMD_MISSION_START: CommandProtocol._start,
     mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: CommandProtocol._select,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: CommandProtocol._speed,

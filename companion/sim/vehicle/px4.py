@@ -22,7 +22,7 @@ from companion.sim.flight.sensors import BACKEND_HZ, BackendImu
 from companion.sim.vehicle.autopilot import Interval, SimAutopilot
 from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters
-from companion.sim.vehicle.wire import inertial_format, payloads, stamped
+from companion.sim.vehicle.wire import inertial_format, message_name, payloads, stamped
 
 _TICK_NS = 1_000_000  # chosen: fine enough for every integration interval of PX4
 _TIMESYNC_MS = 100  # convention: PX4 asks ten times a second
@@ -148,8 +148,7 @@ class SimPx4(SimAutopilot):
 
     def _set_interval(self, number: int, interval_us: int, tick_ns: int) -> int:
         """Whatever there is a stream of is granted."""
-        kind = mavlink.mavlink_map.get(number)
-        name = kind.msgname if kind else ""
+        name = message_name(number)
         if name not in self._streams and name not in self._imus:
             return int(mavlink.MAV_RESULT_FAILED)
         period_ms = max(round(interval_us / 1000), 1)

@@ -22,6 +22,12 @@ _ALL_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometers and gyros (
 _AXES = "xyz"
 
 
+def message_name(number: int) -> str:
+    """Name of a message by its id, empty for an unknown one."""
+    kind = mavlink.mavlink_map.get(number)
+    return str(kind.msgname) if kind else ""
+
+
 class FrameSender:
     """One component's frames: its ids and its sequence numbers."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import resource
 import socket
 import time
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from companion.errors import DeviceError, LinkError
 from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe
 from companion.params.links import LinkKind, parse_link
+from companion.records import PLAN_UNKNOWN
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.worlds import Conditions
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
@@ -26,7 +26,7 @@ from companion.sim.vehicle.faults import Faults, Wire
 from companion.sim.vehicle.nodes import WingNode
 from companion.sim.vehicle.px4 import SimPx4
 from companion.sim.vehicle.routing import Port
-from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
+from companion.sim.vision.cameras import SimTriggerLine
 
 _DATAGRAM = 1400  # bytes that fit Ethernet's 1500 beside the headers (derived)
 _WAKE_NS = 1_000_000  # chosen: finer than the autopilot's 400 Hz loop
@@ -241,7 +241,7 @@ def _await_companion(world: World, wait_s: float) -> None:
 
 def _play(world: World, speed: float, start_ns: int, control: Control | None) -> dict[str, Any]:
     end_ns = round(world.flight.duration_s * 1e9)
-    cpu = _cpu_s()
+    cpu_s = time.process_time()
     late: list[int] = []
     target = start_ns
     boot_ns = 0
@@ -263,12 +263,7 @@ def _play(world: World, speed: float, start_ns: int, control: Control | None) ->
     report.update(
         start_host_ns=start_ns,
         flown_s=boot_ns * 1e-9,
-        cpu_s=_cpu_s() - cpu,
+        cpu_s=time.process_time() - cpu_s,
         wake_late_ms={"median": median, "p99": p99, "max": worst},
     )
     return report
-
-
-def _cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime

@@ -49,7 +49,7 @@ def uncalibrated(airframe: Airframe, seed: int) -> Airframe:
     if airframe.left_camera is None or airframe.right_camera is None:
         raise DeviceError(f"airframe '{airframe.name}' has no camera pair to simulate")
 
-    def true(camera: Camera) -> Camera:
+    def true(_: Side, camera: Camera) -> Camera:
         column, row = (np.array(camera.principal_px) + _MIDDLE_PX * rng.standard_normal(2)).tolist()
         turned = exp_rotation(np.array(camera.rotation_rad)) @ exp_rotation(_TURN_RAD * rng.standard_normal(3))
         a, b, c = log_rotation(turned).tolist()
@@ -63,9 +63,7 @@ def uncalibrated(airframe: Airframe, seed: int) -> Airframe:
             position_m=(x, y, z),
         )
 
-    return dataclasses.replace(
-        airframe, left_camera=true(airframe.left_camera), right_camera=true(airframe.right_camera)
-    )
+    return airframe.with_cameras(true)
 
 
 def serve(config: BoardServerConfig) -> None:

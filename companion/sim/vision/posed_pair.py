@@ -56,14 +56,8 @@ class PosedPair:
 def _refocused(airframe: Airframe, effects: tuple[Effect, ...]) -> Airframe:
     """The airframe with the focal lengths that the effects leave it; focal errors do not change in flight."""
 
-    def camera(side: Side, record: Camera | None) -> Camera | None:
-        if record is None:
-            return None
+    def refocused(side: Side, camera: Camera) -> Camera:
         ratio = viewed(effects, side, 0.0).focal_ratio
-        return dataclasses.replace(record, focal_px=Uncertain(record.focal_px.value * ratio, record.focal_px.sigma))
+        return dataclasses.replace(camera, focal_px=Uncertain(camera.focal_px.value * ratio, camera.focal_px.sigma))
 
-    return dataclasses.replace(
-        airframe,
-        left_camera=camera(Side.LEFT, airframe.left_camera),
-        right_camera=camera(Side.RIGHT, airframe.right_camera),
-    )
+    return airframe.with_cameras(refocused)
