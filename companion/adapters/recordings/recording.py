@@ -103,7 +103,7 @@ def join(axis_groups: Sequence[InertialStream]) -> InertialStream:
             around = steps[np.clip(after - 1, 0, steps.size - 1)]
             inside &= around <= _GAP_RATIO * float(np.median(steps))
         covered &= exact | inside
-        for i in [i for i in range(6) if axis_group.axes >> i & 1]:
+        for i in axis_group.axes.columns:
             values[:, i] = np.interp(base.t_ns, axis_group.t_ns, axis_group.values[:, i])
         axes |= axis_group.axes
     return InertialStream(base.station, base.clock, axes, base.t_ns[covered], values[covered])
@@ -183,3 +183,7 @@ class LoggedRecording:
     def notices(self) -> list[Notice]:
         """Sentences about what is wrong or worth knowing; complete once ``records`` is exhausted."""
         return self.notes.notices
+
+    def say(self, text: str, at_host_ns: int = 0, severity: int = Severity.WARNING) -> None:
+        """Append a notice that begins with the file's name."""
+        self.notes.add(f"{self.path.name}: {text}", at_host_ns, severity)

@@ -63,16 +63,16 @@ class BinRecording(OnboardLog):
         why = implausible(name, logged_hz)
         if why is None:
             return logged_hz
-        self.notes.add(f"{self.path.name}: {why}")
+        self.say(why)
         return sensor.lowpass_accel_hz if kind == "ACCEL" else sensor.lowpass_gyro_hz
 
     def _say_what_is_wrong(self) -> None:
         self.say_truncated(self.log.cut_bytes)
         if self.log.skipped_bytes:
-            self.notes.add(f"{self.path.name}: {self.log.skipped_bytes} bytes are no messages (damage), skipped")
+            self.say(f"{self.log.skipped_bytes} bytes are no messages (damage), skipped")
         dropped = self.log.take("DSF", "Dp").get("Dp")
         if dropped is not None and dropped.size and dropped.max():
-            self.notes.add(f"{self.path.name}: the autopilot dropped {int(dropped.max())} messages while logging")
+            self.say(f"the autopilot dropped {int(dropped.max())} messages while logging")
 
     def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
         """Parameters by their messages PARM."""

@@ -73,8 +73,8 @@ class OnboardLog(LoggedRecording):
     def say_truncated(self, cut_bytes: int) -> None:
         """Note that the log ends in the middle of a message."""
         if cut_bytes:
-            text = f"{self.path.name}: truncated: the last {cut_bytes} bytes are no whole message, left out"
-            self.notes.add(text, severity=Severity.INFO)
+            text = f"truncated: the last {cut_bytes} bytes are no whole message, left out"
+            self.say(text, severity=Severity.INFO)
 
     def _stream(self, source: MappedSource, sensor: Sensor) -> tuple[InertialStream | None, str]:
         imu = imu_of(sensor)
@@ -131,8 +131,7 @@ def _in_body(values: Floats, source: MappedSource, axes: Axis) -> Floats:
     """Turn samples (n, 6) into body axes as the airframe's source says, and zero the columns that are not sent."""
     if source.body_from_sensor is not None:
         values = np.hstack([values[:, :3] @ source.body_from_sensor.T, values[:, 3:] @ source.body_from_sensor.T])
-    axis_sent = [bool((axes & source.sends) >> i & 1) for i in range(6)]
-    return np.where(axis_sent, values, 0.0)
+    return np.where(np.isin(np.arange(6), (axes & source.sends).columns), values, 0.0)
 
 
 def vehicle_states(t_us: Ints, **columns: Any) -> Iterator[tuple[int, VehicleState]]:

@@ -88,9 +88,8 @@ class TlogRecording(LoggedRecording):
             good = size and after <= end and (_plausible(stamp_us, last_us) or self._resumes(at, after))
             if good:
                 if skipped_from >= 0:
-                    self.notes.add(
-                        f"{self.path}: {at - skipped_from} bytes at byte {skipped_from} are no frames, skipped"
-                    )
+                    text = f"{at - skipped_from} bytes at byte {skipped_from} are no frames, skipped"
+                    self.notes.add(f"{self.path}: {text}")
                     skipped_from = -1
                 self.read_share = after / end
                 yield stamp_us, data[at + _STAMP : after]
@@ -99,9 +98,7 @@ class TlogRecording(LoggedRecording):
                 skipped_from = at if skipped_from < 0 else skipped_from
                 at += 1
         if skipped_from >= 0:
-            self.notes.add(
-                f"{self.path.name}: truncated: the last {end - skipped_from} bytes are no whole frame, left out"
-            )
+            self.say(f"truncated: the last {end - skipped_from} bytes are no whole frame, left out")
 
     def _resumes(self, at: int, after: int) -> bool:
         """Whether logging went on here after a pause or a step of the clock: two whole frames agree on a new time."""
@@ -124,7 +121,7 @@ class TlogRecording(LoggedRecording):
                     stamps[record.station].append(record.t_ns)
                 yield record
         for t_ns in timeline.restarts_ns:
-            self.notes.add(f"{self.path.name}: the autopilot restarted; its clock goes on at {t_ns / 1e9:.1f} s", t_ns)
+            self.say(f"the autopilot restarted; its clock goes on at {t_ns / 1e9:.1f} s", t_ns)
         self._report_streams(stamps, decoder)
 
     def _report_streams(self, stamps: dict[Station, list[Ints]], decoder: Decoder) -> None:

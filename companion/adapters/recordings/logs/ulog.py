@@ -111,9 +111,9 @@ class UlogRecording(OnboardLog):
         if dropouts:
             lost_ms = sum(dropouts)
             many = f"{len(dropouts)} dropout{'s' if len(dropouts) > 1 else ''}"
-            self.notes.add(f"{self.path.name}: the logger reports {many} of {lost_ms} ms in all")
+            self.say(f"the logger reports {many} of {lost_ms} ms in all")
         if self._log.damaged_bytes:
-            self.notes.add(f"{self.path.name}: {self._log.damaged_bytes} bytes are damaged and were left out")
+            self.say(f"{self._log.damaged_bytes} bytes are damaged and were left out")
         self.say_truncated(self._log.cut_bytes)
 
     def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:

@@ -15,7 +15,7 @@ from mcap import records as mcap
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.stream_reader import CRCValidationError
+from mcap.stream_reader import CRCValidationError, breakup_chunk
 
 from companion.errors import RecordingError
 
@@ -87,7 +87,14 @@ def scan(path: Path) -> tuple[list[FileSegment], FileEnd]:
     return segments, FileEnd(orderly=False, cut_chunk_ns=cut_chunk_ns)
 
 
-def check_size(chunk: mcap.Chunk) -> None:
+def chunk_records(file: BinaryIO, segment: FileSegment) -> list[Any]:
+    """Records in a chunk; raises one of :data:`DAMAGE` where its bytes are damaged."""
+    chunk = parse(file, segment)
+    _check_size(chunk)
+    return list(breakup_chunk(chunk, validate_crc=True))
+
+
+def _check_size(chunk: mcap.Chunk) -> None:
     """Raise ValueError for a chunk that says it is larger than we make them: what it says would be allocated."""
     sizes = [chunk.uncompressed_size]
     if chunk.compression == "zstd":

@@ -10,7 +10,6 @@ from typing import Any, BinaryIO
 
 from mcap import records as mcap
 from mcap.opcode import Opcode
-from mcap.stream_reader import breakup_chunk
 
 from companion.adapters.recordings.mcap import images, ros1_codec
 from companion.adapters.recordings.mcap.channels import CAMERA_TOPICS, IMAGE_SCHEMA, KINDS, Recordable
@@ -21,7 +20,7 @@ from companion.adapters.recordings.mcap.container import (
     TIME_SPAN,
     FileSegment,
     check_attachment,
-    check_size,
+    chunk_records,
     covered_s,
     learn,
     parse,
@@ -38,6 +37,8 @@ from companion.params.settings import Settings, tunables
 from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
 from companion.units import Severity
+
+_MOST_LETTERS = 120  # of an error in a sentence: a line of a terminal (choice)
 
 
 class McapRecording:
@@ -103,7 +104,7 @@ class McapRecording:
     @property
     def empty(self) -> bool:
         """Whether not even the first second is in the file."""
-        return not any(segment.opcode == Opcode.CHUNK for segment in self._segments)
+        return not self._segments_of(Opcode.CHUNK)
 
     @property
     def has_images(self) -> bool:
@@ -139,19 +140,22 @@ class McapRecording:
                 record = _record_of(schema, message, unpaired)
             except DAMAGE as error:
                 self.complete = False
-                what = f"{type(error).__name__}: {error}"[:120]
-                self._notes.add(f"{self.path.name}: a message of '{schema.name}' is damaged and left out ({what})")
+                text = f"a message of '{schema.name}' is damaged and left out ({_brief(error)})"
+                self._notes.add(f"{self.path.name}: {text}")
                 continue
             if record is not None:
                 yield message.sequence, record
             elif schema.name not in KINDS and schema.name != IMAGE_SCHEMA:
                 self._notes.add(f"{self.path.name}: messages of '{schema.name}' are not known here and left out")
 
+    def _segments_of(self, *opcodes: Opcode) -> list[FileSegment]:
+        return [segment for segment in self._segments if segment.opcode in opcodes]
+
     def _declared_topics(self) -> list[str]:
         """Topics of the channels that are declared outside the chunks."""
         topics = []
         with self.path.open("rb") as file:
-            for segment in [record for record in self._segments if record.opcode == Opcode.CHANNEL]:
+            for segment in self._segments_of(Opcode.CHANNEL):
                 with contextlib.suppress(*DAMAGE):
                     topics.append(str(parse(file, segment).topic))
         return topics
@@ -160,10 +164,10 @@ class McapRecording:
         schemas: dict[int, mcap.Schema] = {}
         channels: dict[int, mcap.Channel] = {}
         with self.path.open("rb") as file:
-            for segment in [record for record in self._segments if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
+            for segment in self._segments_of(Opcode.SCHEMA, Opcode.CHANNEL):
                 with contextlib.suppress(*DAMAGE):  # copies of what the chunks declare
                     learn(parse(file, segment), schemas, channels)
-            for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
+            for segment in self._segments_of(Opcode.CHUNK):
                 for record in self._chunk(file, segment):
                     if not isinstance(record, mcap.Message):
                         learn(record, schemas, channels)
@@ -176,14 +180,12 @@ class McapRecording:
 
     def _chunk(self, file: BinaryIO, segment: FileSegment) -> list[Any]:
         try:
-            chunk = parse(file, segment)
-            check_size(chunk)
-            return list(breakup_chunk(chunk, validate_crc=True))
+            return chunk_records(file, segment)
         except DAMAGE as error:
             self.complete = False
             self._damaged_ns[segment.offset] = recorded_span_ns(file, segment)
-            what = f"{type(error).__name__}: {error}"[:120]
-            self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({what})")
+            where = f"{self.path.name}: the chunk at byte {segment.offset}"
+            self._notes.add(f"{where} is damaged and left out ({_brief(error)})")
             return []
 
     def _header(self) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
@@ -231,7 +233,7 @@ class McapRecording:
         """
         spans = []
         with self.path.open("rb") as file:
-            for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
+            for segment in self._segments_of(Opcode.CHUNK):
                 if segment.length >= TIME_SPAN.size:
                     file.seek(segment.offset)
                     start_ns, end_ns = TIME_SPAN.unpack(file.read(TIME_SPAN.size))
@@ -240,15 +242,16 @@ class McapRecording:
         return min(starts, default=0), max((end_ns for _, end_ns in spans), default=0)
 
 
+def _brief(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:_MOST_LETTERS]
+
+
 def _first_stamp_ns(file: BinaryIO, segment: FileSegment) -> int:
     """Earliest log time of a chunk after 0; 0 where there is none, or the chunk is damaged."""
     try:
-        chunk = parse(file, segment)
-        check_size(chunk)
-        entries = list(breakup_chunk(chunk, validate_crc=True))
+        stamps = [entry.log_time for entry in chunk_records(file, segment) if isinstance(entry, mcap.Message)]
     except DAMAGE:
         return 0
-    stamps = (entry.log_time for entry in entries if isinstance(entry, mcap.Message))
     return min((stamp_ns for stamp_ns in stamps if stamp_ns), default=0)
 
 

@@ -41,52 +41,65 @@ def keep_recording(
     With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
     finished and followed by a further part, and the oldest ones are removed.
     """
-    terminated = _on_terminate()
     part_bytes = None if keep_bytes is None else keep_bytes // _PARTS
-    with _listening(ends) as selector:
+    with selectors.DefaultSelector() as selector:
+        producers = _Producers(selector, ends, stop)
         part_number = 1
-        while selector.get_map():
+        while not producers.have_ended:
             try:
                 if keep_bytes is not None and part_bytes is not None:
                     remove_oldest(path, keep_bytes - part_bytes)
-                described = dataclasses.replace(about, part_number=part_number)
-                if _write_file(path, described, selector, stop, terminated, part_bytes):
+                if _write_file(path, dataclasses.replace(about, part_number=part_number), producers, part_bytes):
                     return
             except (RecordingError, OSError) as error:
                 what = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
                 say(f"not recording: {what}")
-                if _discard(selector, stop, terminated):
+                if _discard(producers):
                     return
             part_number += 1
 
 
-def _on_terminate() -> list[int]:
-    """Leave Ctrl-C to the producers; the list is filled by SIGTERM."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    terminated: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, _: terminated.append(number))
-    return terminated
+class _Producers:
+    """Producers that have not ended yet, and whether the recorder is told to end; Ctrl-C is left to them."""
+
+    def __init__(self, selector: selectors.BaseSelector, ends: Sequence[socket.socket], stop: StopFlag | None) -> None:
+        self._selector, self._stop = selector, stop
+        self.terminated = False
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._terminate)
+        for receiver in map(RecorderReceiver, ends):
+            selector.register(receiver, selectors.EVENT_READ)
+
+    def _terminate(self, *_: object) -> None:
+        self.terminated = True
+
+    @property
+    def have_ended(self) -> bool:
+        """Whether nothing more can come."""
+        return not self._selector.get_map()
+
+    @property
+    def are_stopped(self) -> bool:
+        """Whether the service ends, or SIGTERM came."""
+        return self.terminated or (self._stop is not None and self._stop.is_set())
+
+    def receive(self, timeout_s: float) -> list[Batch | None]:
+        """Take a packet of each that has sent within the timeout; None in the place of one that completes no batch."""
+        batches = []
+        for key, _ in self._selector.select(timeout_s):
+            assert isinstance(key.fileobj, RecorderReceiver)
+            batch = key.fileobj.receive()
+            if batch is not None and batch.last:
+                self._selector.unregister(key.fileobj)
+            batches.append(batch)
+        return batches
 
 
-def _listening(ends: Sequence[socket.socket]) -> selectors.BaseSelector:
-    selector = selectors.DefaultSelector()
-    for outlet in map(RecorderReceiver, ends):
-        selector.register(outlet, selectors.EVENT_READ)
-    return selector
-
-
-def _write_file(
-    path: Path,
-    about: About,
-    selector: selectors.BaseSelector,
-    stop: StopFlag | None,
-    terminated: Sequence[int],
-    most_bytes: int | None = None,
-) -> bool:
+def _write_file(path: Path, about: About, producers: _Producers, most_bytes: int | None) -> bool:
     """Write one file to its end; False where it has reached its size and a further part is due."""
     writer = McapWriter(free_path(path), about)
     try:
-        over = _record(writer, selector, stop, terminated, most_bytes)
+        over = _record(writer, producers, most_bytes)
         writer.close(sync=True)
     except OSError as error:
         writer.abandon()
@@ -94,50 +107,32 @@ def _write_file(
     return over
 
 
-def _discard(selector: selectors.BaseSelector, stop: StopFlag | None, terminated: Sequence[int]) -> bool:
+def _discard(producers: _Producers) -> bool:
     """Throw away what comes, so that nobody waits, until it is time to try again (False) or all is over (True)."""
     again_s = time.monotonic() + _TRY_AGAIN_S
     while time.monotonic() < again_s:
-        for key, _ in selector.select(_IDLE_S):
-            _take(selector, key.fileobj)
-        if terminated or not selector.get_map() or (stop is not None and stop.is_set()):
+        producers.receive(_IDLE_S)
+        if producers.have_ended or producers.are_stopped:
             return True
     return False
 
 
-def _take(selector: selectors.BaseSelector, outlet: object) -> Batch | None:
-    """Take one packet; give the batch that it completes, and listen no more to a producer that has ended."""
-    assert isinstance(outlet, RecorderReceiver)
-    batch = outlet.receive()
-    if batch is not None and batch.last:
-        selector.unregister(outlet)
-    return batch
-
-
-def _record(
-    writer: McapWriter,
-    selector: selectors.BaseSelector,
-    stop: StopFlag | None,
-    terminated: Sequence[int],
-    most_bytes: int | None = None,
-) -> bool:
+def _record(writer: McapWriter, producers: _Producers, most_bytes: int | None) -> bool:
     """Write what comes until all is over (True), or the file has reached its size (False)."""
     idle_rounds = 0
-    while selector.get_map():
+    while not producers.have_ended:
         if most_bytes is not None and writer.size_bytes >= most_bytes:
             return False
-        ready = selector.select(0.0 if terminated else _IDLE_S)
-        idle_rounds = 0 if ready else idle_rounds + 1
-        if not ready:
+        batches = producers.receive(0.0 if producers.terminated else _IDLE_S)
+        idle_rounds = 0 if batches else idle_rounds + 1
+        if not batches:
             writer.flush()
-            if terminated or (stop is not None and stop.is_set() and idle_rounds >= _IDLE_ROUNDS):
+            if producers.terminated or (producers.are_stopped and idle_rounds >= _IDLE_ROUNDS):
                 return True
-        for key, _ in ready:
-            batch = _take(selector, key.fileobj)
+        for batch in batches:
             if batch is not None:
                 _write(writer, batch)
-        ending = terminated or (stop is not None and stop.is_set())  # the file is synced once more when it is whole
-        if not ending:
+        if not producers.are_stopped:  # the file is synced once more when it is whole
             writer.keep_synced()
     return True
 

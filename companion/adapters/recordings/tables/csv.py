@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,14 @@ from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.adapters.recordings.tables.units import ACCELERATION, ANGULAR_RATE, has_unit, input_in_si
 from companion.errors import RecordingError, TableError
 from companion.params.airframe import Airframe, Sensor
-from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station
+from companion.records import AXIS_LETTERS, Axis, ClockName, Floats, ImuBatch, Ints, Station
 from companion.units import Severity
 
 _PLACES = {station.name.lower(): station for station in Station}
-_LETTERS = "xyzpqr"
-_UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter in _LETTERS}
+_UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter in AXIS_LETTERS}
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
-_BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
+_BARE = re.compile(rf"[{AXIS_LETTERS}]_[a-z0-9]+")
 _LATEST_S = 9.2e9  # derived: whole nanoseconds of it still fit into 64 bits
 _MOST_G = 3.0  # chosen: on average no flight pulls more; a higher mean is a wrong unit
 _FEWEST = 100  # chosen: samples that gravity is judged by: fewer may all lie in one manoeuvre
@@ -101,13 +100,9 @@ class CsvRecording(LoggedRecording):
         t_s, rounded = without_rounding(table["t_s"])
         if rounded:
             self.notes.add(f"{file}: {rounded}", severity=Severity.INFO)
-        stations: dict[Station, list[tuple[int, Floats]]] = {}
-        for name, values in table.items():
-            column = inertial_column(file, name, place)
-            if column is not None:
-                station, index, factor = column
-                stations.setdefault(station, []).append((index, values if factor == 1.0 else values * factor))
-            elif name != "t_s":
+        stations, others = by_station(file, place, table)
+        for name, values in others.items():
+            if name != "t_s":
                 self._covariate(file, name, t_s, values)
         for station, columns in sorted(stations.items()):
             yield stream_of(station, nanoseconds(file, t_s), columns)
@@ -132,7 +127,7 @@ class CsvRecording(LoggedRecording):
     def _fitting(self, airframe: Airframe) -> Airframe:
         present = {stream.station for stream in self.streams}
         for station in (station for station in Station if station not in present):
-            self.notes.add(f"{self.path.name}: no samples of '{station.name.lower()}'")
+            self.say(f"no samples of '{station.name.lower()}'")
         return airframe_as_recorded(airframe, self.streams)
 
     def _ranges(self, file: Path) -> RangeTable | None:
@@ -158,11 +153,27 @@ def accel_files(folder: Path) -> list[Path]:
     return files
 
 
-def inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, float] | None:
-    """Station, index of the axis and factor to SI of an inertial column; None for a covariate.
+def by_station(
+    file: Path, place: str, columns: Mapping[str, Floats]
+) -> tuple[dict[Station, list[tuple[int, Floats]]], dict[str, Floats]]:
+    """Inertial columns in SI by station, each with the index of its axis, and the other columns by name.
 
     ``place`` is that of ``accel_<place>.csv``, or "". Raises TableError where place, axis or unit is wrong.
     """
+    stations: dict[Station, list[tuple[int, Floats]]] = {}
+    others: dict[str, Floats] = {}
+    for name, values in columns.items():
+        column = _inertial_column(file, name, place)
+        if column is None:
+            others[name] = values
+        else:
+            station, index, factor = column
+            stations.setdefault(station, []).append((index, values if factor == 1.0 else values * factor))
+    return stations, others
+
+
+def _inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, float] | None:
+    """Station, index of the axis and factor to SI of an inertial column; None for a covariate."""
     if place and _BARE.fullmatch(name):
         name = f"{place}_{name}"
     parts = _INERTIAL.fullmatch(name)
@@ -178,16 +189,16 @@ def inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, fl
     where, axis, unit = parts.groups()
     inertial_unit = unit in ACCELERATION or unit in ANGULAR_RATE
     if where not in _PLACES:
-        if axis in _LETTERS and inertial_unit and where not in ("input", "base"):
+        if axis in AXIS_LETTERS and inertial_unit and where not in ("input", "base"):
             raise TableError(file, 1, f"column '{name}': place '{where}' must be one of {', '.join(_PLACES)}")
         return None
-    if axis not in _LETTERS:
+    if axis not in AXIS_LETTERS:
         raise TableError(file, 1, f"column '{name}': axis '{axis}' must be x, y, z (specific force) or p, q, r (rate)")
     if unit not in _UNITS[axis]:
         raise TableError(file, 1, f"column '{name}': unit '{unit}' must be one of {', '.join(_UNITS[axis])}")
     if place and where != place:
         raise TableError(file, 1, f"column '{name}' does not belong into {file.name}")
-    return _PLACES[where], _LETTERS.index(axis), _UNITS[axis][unit]
+    return _PLACES[where], AXIS_LETTERS.index(axis), _UNITS[axis][unit]
 
 
 def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> InertialStream:
@@ -235,9 +246,9 @@ def airframe_as_recorded(airframe: Airframe, streams: Iterable[InertialStream]) 
 
 
 def _as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
-    sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
+    sends = "".join(AXIS_LETTERS[column] for column in stream.axes.columns)
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)
-    return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_of(stream.t_ns, sensor.rate_hz), source=source)
+    return dataclasses.replace(sensor, sends=sends, rate_hz=rate_of(stream.t_ns, sensor.rate_hz), source=source)
 
 
 def nanoseconds(path: Path, t_s: Floats) -> Ints:

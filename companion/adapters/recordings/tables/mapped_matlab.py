@@ -34,8 +34,7 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
         if values is None and not column.optional:
             available = [*names, *sorted(name for name in variables if not name.startswith("__"))]
             raise RecordingError(
-                f"{path}: no channel '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of "
-                f"{mapping.origin}; it has {', '.join(available)}"
+                f"{path}: no channel {column.label} of {mapping.origin}; it has {', '.join(available)}"
             )
         if values is not None:
             channels[column.name] = _checked(path, column, values)
@@ -96,6 +95,6 @@ def _checked(path: Path, column: ColumnMapping, values: Any) -> Floats:
         raise RecordingError(f"{path}: channel '{column.name}' ({column.channel}) is not numbers") from None
     bad = np.flatnonzero(~np.isfinite(numbers))
     if bad.size:
-        what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
-        raise TableError(path, int(bad[0]) + 1, f"{what}: {numbers[bad[0]]} is not a finite number")
+        problem = f"column {column.label}: {numbers[bad[0]]} is not a finite number"
+        raise TableError(path, int(bad[0]) + 1, problem)
     return numbers

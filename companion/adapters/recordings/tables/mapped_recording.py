@@ -14,8 +14,8 @@ from companion.adapters.recordings.tables.csv import (
     Covariate,
     RangeTable,
     airframe_as_recorded,
+    by_station,
     gravity,
-    inertial_column,
     nanoseconds,
     stream_of,
 )
@@ -24,7 +24,7 @@ from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.errors import TableError
 from companion.params.airframe import Airframe
-from companion.records import ClockName, Floats, ImuBatch, Station
+from companion.records import ClockName, ImuBatch
 from companion.units import Severity
 
 
@@ -61,13 +61,9 @@ class MappedRecording(LoggedRecording):
         yield from merge(*map(timed, self.streams))
 
     def _streams(self, table: MappedTable, mapping: TableMapping) -> Iterator[InertialStream]:
-        stations: dict[Station, list[tuple[int, Floats]]] = {}
-        for name, values in table.channels.items():
-            column = inertial_column(Path(mapping.origin), name, "")
-            if column is not None:
-                station, index, factor = column
-                stations.setdefault(station, []).append((index, values * factor))
-            elif name not in MAY_BE_MISSING:
+        stations, others = by_station(Path(mapping.origin), "", table.channels)
+        for name, values in others.items():
+            if name not in MAY_BE_MISSING:
                 self.covariates[name] = Covariate(name, table.t_s, values)
         if not stations:
             raise TableError(Path(mapping.origin), 1, "no channel <place>_<axis>_<unit>, such as left_z_mps2")

@@ -28,29 +28,29 @@ def text_columns(
         A column is missing or a cell is wrong.
     """
     places = _places(path, mapping, layout)
-    wanted = list(places.items())
-    lines = sum(1 for _ in _rows(path, layout))
-    if not lines:
+    if next(_rows(path, layout), None) is None:
         raise TableError(path, layout.first_line, "no row of numbers is there")
-    if layout.decimal != ".":
+    values = _loaded(path, layout, list(places.values())) if layout.decimal == "." else None
+    if values is None or not np.isfinite(values).all():
         values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
-        return {name: np.ascontiguousarray(values[:, i]) for i, (name, _) in enumerate(wanted)}
+    return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(places)}
+
+
+def _loaded(path: Path, layout: TextLayout, columns: list[int]) -> Floats | None:
+    """Fast path: columns (n, ...) by their indices; None where a cell is wrong."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            values = np.loadtxt(
+            return np.loadtxt(
                 path,
                 delimiter=layout.delimiter,
                 skiprows=layout.first_line - 1,
                 comments=None,
-                usecols=[index for _, index in wanted],
+                usecols=columns,
                 ndmin=2,
                 encoding="utf-8-sig",
             )
     except (ValueError, IndexError, UnicodeDecodeError):
-        values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
-    if not np.isfinite(values).all():
-        values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
-    return {name: np.ascontiguousarray(values[:, i]) for i, (name, _) in enumerate(wanted)}
+        return None
 
 
 def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, int]:
@@ -75,8 +75,7 @@ def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, 
             raise TableError(
                 path,
                 layout.header_line or layout.first_line,
-                f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of {mapping.origin} "
-                f"is missing; the columns are {available}",
+                f"column {column.label} of {mapping.origin} is missing; the columns are {available}",
             )
     return places
 
@@ -134,7 +133,7 @@ def _number(
     path: Path, line: int, column: ColumnMapping, cell: str, decimal: str, may_be_missing: frozenset[str]
 ) -> float:
     lenient = column.channel in may_be_missing
-    what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
+    what = f"column {column.label}"
     if lenient and not cell:
         return math.nan
     value = cell_number(path, line, what, cell, decimal)

@@ -36,6 +36,11 @@ class ColumnMapping:
     offset: float
     optional: bool = False
 
+    @property
+    def label(self) -> str:
+        """The column in the words of a sentence about it."""
+        return f"'{self.name}' ({self.channel}, unit {self.unit or 'none'})"
+
 
 @dataclass(frozen=True, slots=True)
 class TextLayout:
