@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from companion.adapters.mavlink.decode.message_records import Heard
@@ -50,12 +51,12 @@ class Store(Protocol):
         ...
 
 
+@dataclass(slots=True)
 class _Station:
     """A ground station: when it was heard last, and how often we have greeted it."""
 
-    def __init__(self) -> None:
-        self.heard_host_ns = 0
-        self.greeted = 0
+    heard_host_ns: int = 0
+    greeted: int = 0
 
 
 class ParameterServer:
@@ -246,5 +247,5 @@ class ParameterServer:
             self._waiting.remove(index)
         self._waiting.appendleft(index)
 
-    def _append(self, indices: Any) -> None:
+    def _append(self, indices: Iterable[int]) -> None:
         self._waiting.extend(index for index in indices if index not in self._waiting)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import struct
 from collections.abc import Callable
 from operator import itemgetter
 from typing import Any
@@ -17,6 +18,21 @@ _CLASSES: dict[int, Any] = mavlink.mavlink_map
 CRC_EXTRA: dict[int, int] = {identity: kind.crc_extra for identity, kind in _CLASSES.items()}
 ID_OF: dict[str, int] = {kind.msgname: identity for identity, kind in _CLASSES.items()}
 NAME_OF: dict[int, str] = {identity: kind.msgname for identity, kind in _CLASSES.items()}
+
+
+class NewerMessage(mavlink.MAVLink_message):  # type: ignore[misc]
+    """A message, or further fields of one, that pymavlink 2.4.50 lacks: ``fields`` in the order of the wire."""
+
+    def __init__(self, identity: int, name: str, crc_extra: int, layout: str, **fields: Any) -> None:
+        super().__init__(identity, name)
+        self._crc_extra, self._layout, self._fieldnames = crc_extra, layout, list(fields)
+        for field, value in fields.items():
+            setattr(self, field, value)
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        """Frame it, as pymavlink's messages do."""
+        payload = struct.pack(self._layout, *(getattr(self, field) for field in self._fieldnames))
+        return bytes(self._pack(mav, self._crc_extra, payload, force_mavlink1=force_mavlink1))
 
 
 def payload_size(identity: int) -> int:

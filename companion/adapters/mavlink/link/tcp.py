@@ -68,7 +68,25 @@ class _BufferedSocket:
         self.socket.close()
 
 
-class TcpClient:
+class _TcpTransport:
+    """What client and server do with the connection that they have."""
+
+    _stream: _BufferedSocket | None = None
+
+    def send(self, data: bytes) -> bool:
+        """Send where connected."""
+        return self._stream is not None and self._stream.send(data)
+
+    def _read(self, limit: int) -> bytes:
+        """Read where connected; the connection is given up when the other side has gone."""
+        data = b"" if self._stream is None else self._stream.receive(limit)
+        if data is None and self._stream is not None:
+            self._stream.close()
+            self._stream = None
+        return data or b""
+
+
+class TcpClient(_TcpTransport):
     """Calls an address; after a loss it calls again with growing pauses, without blocking.
 
     With ``may_be_down`` the first call does not block either: it begins with the first :meth:`receive`.
@@ -77,7 +95,6 @@ class TcpClient:
     def __init__(self, host: str, port: int, *, may_be_down: bool = False) -> None:
         where = f"tcp:{host}:{port}"
         self._host, self._port = HostAddress(where, host, may_be_down=may_be_down), port
-        self._stream: _BufferedSocket | None = None
         if not may_be_down:
             self._stream = _BufferedSocket(_connected(where, (self._host.newest() or host, port)))
         self._calling: socket.socket | None = None
@@ -92,12 +109,7 @@ class TcpClient:
         """Read, or go on with connecting again."""
         if self._stream is None:
             self._call(now_host_ns)
-        data, self._stream = _read(self._stream, limit)
-        return data
-
-    def send(self, data: bytes) -> bool:
-        """Send where connected."""
-        return self._stream is not None and self._stream.send(data)
+        return self._read(limit)
 
     def close(self) -> None:
         """Release the sockets."""
@@ -140,7 +152,7 @@ def _connected(where: str, address: tuple[str, int]) -> socket.socket:
         raise LinkDown(f"{where}: cannot be reached ({error}); check address and network") from error
 
 
-class TcpServer:
+class TcpServer(_TcpTransport):
     """Waits for one client; when it leaves, waits for the next."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -154,7 +166,6 @@ class TcpServer:
             raise LinkError(f"tcpin:{host}:{port}: {taken}") from error
         self._listener.listen(1)
         self._listener.setblocking(False)
-        self._stream: _BufferedSocket | None = None
 
     @property
     def port(self) -> int:
@@ -171,26 +182,10 @@ class TcpServer:
             with contextlib.suppress(OSError):
                 connection, _ = self._listener.accept()
                 self._stream = _BufferedSocket(connection)
-        data, self._stream = _read(self._stream, limit)
-        return data
-
-    def send(self, data: bytes) -> bool:
-        """Send to the client, if there is one."""
-        return self._stream is not None and self._stream.send(data)
+        return self._read(limit)
 
     def close(self) -> None:
         """Release the sockets."""
         if self._stream is not None:
             self._stream.close()
         self._listener.close()
-
-
-def _read(stream: _BufferedSocket | None, limit: int) -> tuple[bytes, _BufferedSocket | None]:
-    """Bytes of a connection, and the connection while it lives."""
-    if stream is None:
-        return b"", None
-    data = stream.receive(limit)
-    if data is None:
-        stream.close()
-        return b"", None
-    return data, stream

@@ -23,7 +23,7 @@ from companion.adapters.mavlink.vehicle.component_sender import ComponentSender
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.vehicle.rates import RateKeeper
 from companion.adapters.mavlink.vehicle.senders import ClockConflictDetector
-from companion.adapters.mavlink.vehicle.timesync import TimesyncAnswer, is_request
+from companion.adapters.mavlink.vehicle.timesync import is_request, timesync_answer
 from companion.adapters.mavlink.vehicle.vehicle_choice import ChoiceNotices
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
@@ -94,8 +94,7 @@ class MavlinkAutopilot:
         self._two_clocks = ClockConflictDetector()
         self._said: list[Notice] = []
         self._links = list(links)
-        self._settings = settings
-        self._clock = clock
+        self._settings, self._clock = settings, clock
         for link in self._links:
             if link.senders is not None:
                 link.senders.guarded = frozenset(self.decoder.mapping.clocks)
@@ -105,11 +104,8 @@ class MavlinkAutopilot:
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
         self._integer_parameters: set[str] = set()
-        self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
-        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
-        self.rates.mode(max(mode.frequency_hz.value for mode in modes))
-        self._heartbeats = RateLimiter(_SECOND_NS)
-        self._verifications = RateLimiter(_SECOND_NS)
+        self.rates = self._rate_keeper(airframe, settings)
+        self._each_second = RateLimiter(_SECOND_NS)
         self._read_host_ns = 0
         self._boot_offset_ns = 0
         self._ranges = RangePublisher(settings, airframe.orientation)
@@ -124,12 +120,15 @@ class MavlinkAutopilot:
         """Messages that were not sent because a value was not finite."""
         return self._sender.refused
 
-    def _wanted_rates(self, settings: Settings) -> dict[int, float]:
-        wanted = {ID_OF[name]: _STATE_RATE_HZ for name in ("ATTITUDE", "VFR_HUD", "GLOBAL_POSITION_INT")}
+    def _rate_keeper(self, airframe: Airframe, settings: Settings) -> RateKeeper:
+        wanted_hz = {ID_OF[name]: _STATE_RATE_HZ for name in ("ATTITUDE", "VFR_HUD", "GLOBAL_POSITION_INT")}
         for source in self.decoder.mapping.sources:
             if source.component == AUTOPILOT_COMPONENT:
-                wanted[source.message] = settings.imu_rate_hz
-        return wanted
+                wanted_hz[source.message] = settings.imu_rate_hz
+        rates = RateKeeper(wanted_hz, self.decoder.mapping.messages)
+        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+        rates.mode(max(mode.frequency_hz.value for mode in modes))
+        return rates
 
     def poll(self, timeout_s: float) -> Iterator[Record]:
         """Yield what has arrived within the timeout, raw bytes first, then what they decode to.
@@ -201,7 +200,7 @@ class MavlinkAutopilot:
         system = self.decoder.system_id
         ours = self._settings.component_id
         for request in [heard for heard in decoded.heard if is_request(heard, system, ours)][:_MOST_ANSWERS]:
-            self._sender.send(TimesyncAnswer(request, self._clock.now_ns()), request.link)
+            self._sender.send(timesync_answer(request, self._clock.now_ns()), request.link)
         for heard in decoded.heard:
             self._hear(heard, now_host_ns)
             if system is not None:
@@ -284,7 +283,7 @@ class MavlinkAutopilot:
             self._sender.system = system
             while self._held:
                 self._sender.tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
-        if self._heartbeats.take(now_host_ns):
+        if self._each_second.take(now_host_ns, "heartbeat"):
             knocking = [link.number for link in self._links if link.knocks]
             for number in knocking if system is None else [None]:
                 self._sender.send(encode.heartbeat(self.health), number)
@@ -300,7 +299,7 @@ class MavlinkAutopilot:
         name = self._parameters.due(now_host_ns)
         if name is not None:
             self._sender.request_parameter(name)
-        if self._verifications.take(now_host_ns):
+        if self._each_second.take(now_host_ns, "rates"):
             delivered = self.decoder.delivered
             counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
             self.rates.verify(counts, now_host_ns)

@@ -79,7 +79,8 @@ class RateKeeper:
     def __init__(self, wanted_hz: Mapping[int, float], inertial: Container[int] = ()) -> None:
         self._inertial = inertial
         self._mode_hz = 0.0
-        self._wanted = {key: _RequestedRate(key, *(2 * (round(1e6 / rate),))) for key, rate in wanted_hz.items()}
+        wanted_us = {message: round(1e6 / rate_hz) for message, rate_hz in wanted_hz.items()}
+        self._wanted = {message: _RequestedRate(message, us, us) for message, us in wanted_us.items()}
         self._asked: _RequestedRate | None = None
         self._asked_host_ns = 0
         self._loop_rate_hz: float | None = None
@@ -135,9 +136,7 @@ class RateKeeper:
             self._reduce(entry, now_host_ns)
         else:
             entry.ask_at_host_ns = now_host_ns + _REFUSED_PAUSE_NS
-            self._say(
-                Severity.WARNING, f"{NAME_OF[entry.message]}: autopilot cannot send it (result {result})", now_host_ns
-            )
+            self._warn(f"{NAME_OF[entry.message]}: autopilot cannot send it (result {result})", now_host_ns)
 
     def verify(self, delivered: Mapping[int, int], now_host_ns: int) -> None:
         """Compare what has come (running counts by message id) with what was granted; call about once a second."""
@@ -172,10 +171,9 @@ class RateKeeper:
         entry.settled, entry.ask_at_host_ns = False, now_host_ns
         entry.pause_ns = min(2 * entry.pause_ns, _LONGEST_PAUSE_NS)
         if entry.fallen in (1, 3):
-            text = f"{NAME_OF[entry.message]} comes at {rate_hz:.0f}, not {granted_hz:.0f} Hz: "
-            self._say(
-                Severity.WARNING, text + (self._remedy(granted_hz) if entry.fallen > 1 else "asking again"), now_host_ns
-            )
+            remedy = self._remedy(granted_hz) if entry.fallen > 1 else "asking again"
+            text = f"{NAME_OF[entry.message]} comes at {rate_hz:.0f}, not {granted_hz:.0f} Hz: {remedy}"
+            self._warn(text, now_host_ns)
 
     def _judge_mode(self, entry: _RequestedRate, rate_hz: float, now_host_ns: int) -> None:
         """Say, and once a minute again, that what comes is too little for the mode, and what to change to what."""
@@ -186,7 +184,7 @@ class RateKeeper:
         wanted_hz = 1e6 / entry.wanted_us
         remedy = self._remedy(needed_hz) if wanted_hz >= needed_hz else f"set IMU_RATE {math.ceil(needed_hz)}, restart"
         text = f"{NAME_OF[entry.message]} {rate_hz:.0f} Hz, {self._mode_hz:.1f} Hz mode needs {needed_hz:.0f}: {remedy}"
-        self._say(Severity.WARNING, text, now_host_ns)
+        self._warn(text, now_host_ns)
 
     def _reduce(self, entry: _RequestedRate, now_host_ns: int) -> None:
         slower_us = math.ceil(entry.granted_us * _SLOWER / 1000.0) * 1000
@@ -195,7 +193,7 @@ class RateKeeper:
         if entry.granted_us == entry.wanted_us:
             wanted_hz = 1e6 / entry.wanted_us
             text = f"{NAME_OF[entry.message]} at {wanted_hz:.0f} Hz denied: {self._remedy(wanted_hz)}"
-            self._say(Severity.WARNING, text, now_host_ns)
+            self._warn(text, now_host_ns)
         entry.granted_us, entry.ask_at_host_ns, entry.tries = min(slower_us, _SLOWEST_US), now_host_ns, 0
 
     def _remedy(self, rate_hz: float) -> str:
@@ -208,5 +206,5 @@ class RateKeeper:
             return "link too slow? raise its baud rate"
         return f"set SCHED_LOOP_RATE {needed}, reboot"
 
-    def _say(self, severity: int, text: str, now_host_ns: int) -> None:
-        self._notices.append(Notice(severity, text, now_host_ns))
+    def _warn(self, text: str, now_host_ns: int) -> None:
+        self._notices.append(Notice(Severity.WARNING, text, now_host_ns))
