@@ -42,6 +42,30 @@ def camera_factory(
         The spelling is none of these, the airframe has no cameras or two that are exposed differently, or the software
         trigger is asked of other cameras than DepthAI's. What opening raises, the factory raises.
     """
+    left, right = _cameras(airframe)
+    kind, colon, where = spelling.partition(":")
+    if not colon or not where:
+        raise ConfigError(_unknown(spelling))
+    if kind == "oak":
+        first, second = (_oak_sensor(word) for word in _two(where, spelling))
+        size_px = left.width_px, left.height_px
+        return functools.partial(OakPair, first, second, size_px, _oak_timing(left, triggered), soft)
+    if soft is not None:
+        raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
+    if kind == "v4l2":
+        return _v4l2(_two(where, spelling), left, right, triggered=triggered)
+    if kind == "folder":
+        return functools.partial(_paced, FolderPair, Path(where), **_times_ns(left))
+    if kind == "video":
+        return functools.partial(_paced, CapturePair, *map(Path, _two(where, spelling)), **_times_ns(left))
+    if kind == "oak-replay":
+        return functools.partial(OakReplayPair, *map(Path, _two(where, spelling)), _oak_timing(left, triggered))
+    if kind == "recording":
+        return functools.partial(_paced, RecordedPair, Path(where))
+    raise ConfigError(_unknown(spelling))
+
+
+def _cameras(airframe: Airframe) -> tuple[Camera, Camera]:
     left, right = airframe.left_camera, airframe.right_camera
     if left is None or right is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; leave --cameras out")
@@ -50,29 +74,7 @@ def camera_factory(
             f"airframe '{airframe.name}': exposure_s and row_time_s of left_camera and right_camera must be equal, "
             "both cameras are opened and stamped alike"
         )
-    kind, colon, where = spelling.partition(":")
-    if not colon or not where:
-        raise ConfigError(_unknown(spelling))
-    if kind == "oak":
-        sensor, other = (_oak_sensor(word) for word in _two(where, spelling))
-        size_px = left.width_px, left.height_px
-        return functools.partial(OakPair, sensor, other, size_px, _oak_timing(left, triggered), soft)
-    if soft is not None:
-        raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
-    if kind == "v4l2":
-        first, second = (int(word) if word.isdigit() else word for word in _two(where, spelling))
-        return functools.partial(_v4l2, (first, second), (left, right), triggered=triggered)
-    if kind == "folder":
-        return functools.partial(_folder, Path(where), left)
-    if kind == "video":
-        files = [Path(word) for word in _two(where, spelling)]
-        return functools.partial(_video, files[0], files[1], left)
-    if kind == "oak-replay":
-        files = [Path(word) for word in _two(where, spelling)]
-        return functools.partial(OakReplayPair, files[0], files[1], _oak_timing(left, triggered))
-    if kind == "recording":
-        return functools.partial(_recording, Path(where))
-    raise ConfigError(_unknown(spelling))
+    return left, right
 
 
 def _unknown(spelling: str) -> str:
@@ -100,35 +102,25 @@ def _oak_timing(camera: Camera, triggered: bool) -> OakTiming:
     )
 
 
-def _v4l2(devices: tuple[int | str, int | str], pair: tuple[Camera, Camera], *, triggered: bool) -> CameraPair:
+def _v4l2(words: list[str], left: Camera, right: Camera, *, triggered: bool) -> Callable[[], CameraPair]:
     """The driver stamps the end of the first row's exposure; from there back to the middle of the middle row's."""
-    camera, other = pair  # exposed alike
-    to_middle_s = 0.5 * camera.row_time_s * (camera.height_px - 1) - 0.5 * camera.exposure_s
-    exposure_ns, row_ns = _times(camera)
-    shift_ns = round(to_middle_s * 1e9)
-    return CapturePair(
-        *devices,
-        exposure_ns=exposure_ns,
-        row_time_ns=row_ns,
-        stamp_to_middle_ns=shift_ns,
+    to_middle_s = 0.5 * left.row_time_s * (left.height_px - 1) - 0.5 * left.exposure_s
+    first, second = (int(word) if word.isdigit() else word for word in words)
+    return functools.partial(
+        CapturePair,
+        first,
+        second,
+        **_times_ns(left),
+        stamp_to_middle_ns=round(to_middle_s * 1e9),
         triggered=triggered,
-        sizes_px=((camera.width_px, camera.height_px), (other.width_px, other.height_px)),
+        sizes_px=((left.width_px, left.height_px), (right.width_px, right.height_px)),
     )
 
 
-def _folder(folder: Path, camera: Camera) -> CameraPair:
-    exposure_ns, row_ns = _times(camera)
-    return PacedPair(FolderPair(folder, exposure_ns=exposure_ns, row_time_ns=row_ns), MonotonicClock())
+def _paced(source: Callable[..., CameraPair], *files: Path, **times_ns: int) -> CameraPair:
+    """What opens a pair from files, at their own pace from now on."""
+    return PacedPair(source(*files, **times_ns), MonotonicClock())
 
 
-def _video(left: Path, right: Path, camera: Camera) -> CameraPair:
-    exposure_ns, row_ns = _times(camera)
-    return PacedPair(CapturePair(left, right, exposure_ns=exposure_ns, row_time_ns=row_ns), MonotonicClock())
-
-
-def _recording(path: Path) -> CameraPair:
-    return PacedPair(RecordedPair(path), MonotonicClock())
-
-
-def _times(camera: Camera) -> tuple[int, int]:
-    return round(camera.exposure_s * 1e9), round(camera.row_time_s * 1e9)
+def _times_ns(camera: Camera) -> dict[str, int]:
+    return {"exposure_ns": round(camera.exposure_s * 1e9), "row_time_ns": round(camera.row_time_s * 1e9)}

@@ -19,9 +19,8 @@ import numpy as np
 from companion.adapters.cameras.oak_soft import SoftEar, fire_queue
 from companion.adapters.triggers.oak import SoftLine
 from companion.errors import DeviceError, import_extra
-from companion.records import ClockName, Frame, Side
+from companion.records import PLAN_UNKNOWN, ClockName, Frame, Side
 
-PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
 _POLL_S = 0.001  # chosen: a frame waits no longer than this, and the loop costs next to nothing
 
 
@@ -187,13 +186,18 @@ class OakReplayPair(QueuePair):
 
 def camera_queue(node: Any, socket: str, size_px: tuple[int, int], timing: OakTiming, dai: Any) -> Any:
     """Set up a camera node and give the queue of its grey images; :class:`DeviceError` for an unknown socket."""
-    place = getattr(dai.CameraBoardSocket, socket, None)
-    if place is None:
-        raise DeviceError(f"DepthAI has no camera socket '{socket}'; CAM_A, CAM_B, CAM_C ...")
-    built = node.build(place)
+    built = node.build(board_socket(socket, dai))
     configure(built.initialControl, timing, dai)
     output = built.requestOutput(size_px, dai.ImgFrame.Type.GRAY8, fps=timing.rate_hz)
     return output.createOutputQueue(maxSize=8, blocking=False)
+
+
+def board_socket(name: str, dai: Any) -> Any:
+    """A camera's socket by its name; :class:`DeviceError` for an unknown one."""
+    place = getattr(dai.CameraBoardSocket, name, None)
+    if place is None:
+        raise DeviceError(f"DepthAI has no camera socket '{name}'; CAM_A, CAM_B, CAM_C ...")
+    return place
 
 
 def listen_to_line(device: Any, dai: Any) -> None:

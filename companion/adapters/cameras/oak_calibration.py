@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from companion.adapters.cameras.oak import library
+from companion.adapters.cameras.oak import board_socket, library
 from companion.errors import DeviceError
 from companion.params.airframe import Camera, Uncertain
 from companion.records import Floats
@@ -92,10 +92,7 @@ def _with_lens(handler: Any, socket: str, camera: Camera) -> Camera:
 
 
 def _place(socket: str) -> Any:
-    place = getattr(library().CameraBoardSocket, socket, None)
-    if place is None:
-        raise DeviceError(f"DepthAI has no camera socket '{socket}'; CAM_A, CAM_B, CAM_C ...")
-    return place
+    return board_socket(socket, library())
 
 
 def _camera_from_body(camera: Camera) -> Floats:
