@@ -13,7 +13,7 @@ from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.plausible import problems
 from companion.params.shipped import read_shipped, shipped_names
-from companion.params.toml import LARGEST, parse_toml
+from companion.params.toml import LARGEST, parse_toml, quoted
 
 
 def shipped_airframes() -> list[str]:
@@ -174,5 +174,5 @@ def _literal(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return quoted(str(value))
     return repr(value)

@@ -16,6 +16,7 @@ from typing import Any
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.persist import write_atomically
+from companion.params.toml import quoted
 from companion.records import TriggerLatency
 
 _LEAST_SHOTS = 10  # for a spread known to a quarter (choice)
@@ -45,7 +46,7 @@ def keep_latency(file: Path, path: str, learned: TriggerLatency) -> bool:
     """
     if learned.shots < _LEAST_SHOTS:
         return False
-    lines = [f"path = {_quoted(path)}", f"shots = {learned.shots}"]
+    lines = [f"path = {quoted(path)}", f"shots = {learned.shots}"]
     for side, value, sigma in zip(_SIDES, learned.latency_s.tolist(), learned.sigma_s.tolist(), strict=True):
         lines.append(f"{side}_s = {{ value = {value!r}, sigma = {sigma!r} }}")
     try:
@@ -70,14 +71,10 @@ def load_latency(file: Path) -> LearnedLatency | None:
 
 def with_latency(airframe: Airframe, learned: LearnedLatency | None, path: str) -> Airframe:
     """The airframe with the latency that this path had in the last flight; unchanged where that is not known."""
-    left, right = airframe.left_camera, airframe.right_camera
-    if learned is None or learned.path != path or left is None or right is None:
+    if learned is None or learned.path != path:
         return airframe
-    return dataclasses.replace(
-        airframe,
-        left_camera=dataclasses.replace(left, latency_s=learned.latency_s[0]),
-        right_camera=dataclasses.replace(right, latency_s=learned.latency_s[1]),
-    )
+    latency_s = learned.latency_s
+    return airframe.with_cameras(lambda side, camera: dataclasses.replace(camera, latency_s=latency_s[side]))
 
 
 def _uncertain(entry: Any) -> Uncertain:
@@ -85,8 +82,3 @@ def _uncertain(entry: Any) -> Uncertain:
     if not (0.0 <= value <= _LONGEST_S and 0.0 < sigma <= _LONGEST_S and math.isfinite(value + sigma)):
         raise ValueError(f"{value!r} +- {sigma!r} s is no latency")
     return Uncertain(value, sigma)
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'

@@ -34,6 +34,11 @@ def settings_of(table: dict[str, Any], origin: str) -> dict[str, float]:
     return table
 
 
+def quoted(text: str) -> str:
+    """A text as TOML writes it."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+
+
 def parse_toml(text: str, origin: str) -> dict[str, Any]:
     """Parse a text; raise :class:`ConfigError`, which names ``origin``, where it is no TOML."""
     try:
