@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import selectors
-import signal
 import socket
 from collections.abc import Callable, Sequence
 
@@ -28,7 +27,6 @@ def serve_live(
     ``listening`` is the bound socket of the door; it outlives this process, so that a restarted one has the same
     address. ``ends`` are the receiving ends of the producers' feeds.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(_NICENESS)
     session = LiveSession(config, subject, listening)
     try:

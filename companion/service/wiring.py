@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import signal
 import socket
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -177,11 +176,6 @@ def _recorder(tape: socket.socket | None, eye: FeedEnd | None) -> Recorder:
     return clients[0] if len(clients) == 1 else _Recorders(clients)
 
 
-def _ignore_interrupt() -> None:
-    """Ctrl-C reaches the whole group; the supervisor ends us in order."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def _stored(config: ServiceConfig) -> dict[str, float]:
     """Parameters set from a ground station, by MAVLink name, less those that contradict each other."""
     return {} if config.parameters is None else Settings().agreeing(load_stored(config.parameters).values)[0]
@@ -208,7 +202,6 @@ def _inertial_process(
     gate: StandbyGate | None,
     stop: StopFlag,
 ) -> None:
-    _ignore_interrupt()
     clock: Clock = MonotonicClock()
     manager = ServiceManager(os.environ)
     if gate is not None and not gate.wait_for_turn(stop):
@@ -262,7 +255,6 @@ def _check_settings(config: ServiceConfig) -> None:
 
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: StopFlag) -> None:
-    _ignore_interrupt()
     assert config.trigger is not None
     serve_trigger(config.trigger, line, stop.is_set)
 
@@ -289,7 +281,6 @@ def _live_process(
     began_ns: int,
     stop: StopFlag,
 ) -> None:
-    _ignore_interrupt()
     assert config.live is not None
 
     def request_topics(mask: int) -> None:
@@ -317,7 +308,6 @@ def _vision_process(
     eye: FeedEnd | None,
     stop: StopFlag,
 ) -> None:
-    _ignore_interrupt()
     assert config.cameras is not None
     recorder = _recorder(tape, eye)
     try:

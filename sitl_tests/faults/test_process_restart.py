@@ -196,7 +196,6 @@ def test_a_link_that_is_down_is_told_and_the_service_goes_on_without_it(
 
 
 def test_the_inertial_process_starts_without_a_link_that_is_down(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wiring, "_ignore_interrupt", lambda: None)
     turns: list[list[Any]] = []
     monkeypatch.setattr(wiring.inertial, "run", lambda loop, _: turns.append(list(loop.autopilot.poll(0.01))))
     (_, matches), (shown, _) = channel(), channel()
@@ -226,9 +225,8 @@ class Flashes:
         pass
 
 
-def test_pairs_are_numbered_on_when_vision_starts_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pairs_are_numbered_on_when_vision_starts_anew() -> None:
     """Ranges, images and the demo's judge tell pairs apart by their numbers alone."""
-    monkeypatch.setattr(wiring, "_ignore_interrupt", lambda: None)
     (updates_in, updates), (matches_in, matches) = channel(), channel()
     pair_ids = []
     for _ in range(2):
