@@ -167,36 +167,10 @@ def noise_density(snr_db: float) -> float:
 def _record(
     flight: dict[str, Array], world: World, hidden: Hidden, i: int, snr_db: float, rng: np.random.Generator
 ) -> Tables:
-    effects, side = hidden.effects, hidden.side
-    t_s, t_up = flight["t_s"], flight["t_up_s"]
+    effects, t_s = hidden.effects, flight["t_s"]
     force = np.empty((len(t_s), 2))
     for s in range(2):
-        late = BELIEF["delay_sigma_s"] * rng.standard_normal()
-        delay = effects.get("stream-delay", 0.0)
-        late += max(delay if s == 1 else -delay, 0.0)
-        shift = np.full(len(t_s), late)
-        if s == 1:
-            shift += effects.get("clock-skew", 0.0) / 60.0 * t_s
-        up = _cubic(t_up, flight["up_mps2"][:, s, i], t_s - shift)
-        lag = effects.get("sensor-filter", 0.0)
-        if lag > 0:
-            a = np.exp(-0.001 / lag)
-            up = _one_pole(up, a)
-        up = up + effects.get("accel-cubic", 0.0) * up**3
-        scale = (
-            1.0
-            + BELIEF["scale_sigma"] * rng.standard_normal()
-            + (effects.get("accel-scale", 0.0) if s == side else 0.0)
-        )
-        bias = BELIEF["bias_sigma_mps2"] * rng.standard_normal() + (
-            effects.get("accel-bias", 0.0) if s == side else 0.0
-        )
-        tone = (effects.get("tone", 0.0) if s == side else 0.0) * np.sin(
-            2 * np.pi * hidden.extra.get("tone.frequency_hz", 17.0) * t_s
-        )
-        white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
-        force[:, s] = -(GRAVITY + up) * scale + bias + tone + white
-        force[:, s] = _through_converter(force[:, s], effects, side == s)
+        force[:, s] = _force(flight, hidden, i, s, snr_db, rng)
     stamps, recorded = _stamped(t_s, effects, rng)
     at = np.arange(0.1, t_s[-1] - 0.1, 0.1) + rng.uniform(0, 0.04)
     reference = 45.0 + 25.0 * np.sin(2 * np.pi * at / 40.0) + 10.0 * np.sin(2 * np.pi * at / 13.0)
@@ -213,6 +187,28 @@ def _record(
         np.array([roller(t) for t in stamps]),
         17.0 + AIRSPEED_RMS_MPS * np.array([airspeed(t) for t in stamps]),
     )
+
+
+def _force(flight: dict[str, Array], hidden: Hidden, i: int, s: int, snr_db: float, rng: np.random.Generator) -> Array:
+    """Vertical specific force (m,) as the accelerometer of one side reads it."""
+    effects, t_s = hidden.effects, flight["t_s"]
+    here = effects if s == hidden.side else {}  # effects of one side alone
+    late = BELIEF["delay_sigma_s"] * rng.standard_normal()
+    delay = effects.get("stream-delay", 0.0)
+    late += max(delay if s == 1 else -delay, 0.0)
+    shift = np.full(len(t_s), late)
+    if s == 1:
+        shift += effects.get("clock-skew", 0.0) / 60.0 * t_s
+    up = _cubic(flight["t_up_s"], flight["up_mps2"][:, s, i], t_s - shift)
+    lag = effects.get("sensor-filter", 0.0)
+    if lag > 0:
+        up = _one_pole(up, np.exp(-0.001 / lag))
+    up = up + effects.get("accel-cubic", 0.0) * up**3
+    scale = 1.0 + BELIEF["scale_sigma"] * rng.standard_normal() + here.get("accel-scale", 0.0)
+    bias = BELIEF["bias_sigma_mps2"] * rng.standard_normal() + here.get("accel-bias", 0.0)
+    tone = here.get("tone", 0.0) * np.sin(2 * np.pi * hidden.extra.get("tone.frequency_hz", 17.0) * t_s)
+    white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
+    return _through_converter(-(GRAVITY + up) * scale + bias + tone + white, effects, s == hidden.side)
 
 
 def _through_converter(force: Array, effects: Mapping[str, float], here: bool) -> Array:
