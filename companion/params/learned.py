@@ -71,7 +71,7 @@ def load_latency(file: Path) -> LearnedLatency | None:
 
 def with_latency(airframe: Airframe, learned: LearnedLatency | None, path: str) -> Airframe:
     """The airframe with the latency that this path had in the last flight; unchanged where that is not known."""
-    if learned is None or learned.path != path:
+    if learned is None or learned.path != path or airframe.left_camera is None:
         return airframe
     latency_s = learned.latency_s
     return airframe.with_cameras(lambda side, camera: dataclasses.replace(camera, latency_s=latency_s[side]))
