@@ -60,18 +60,18 @@ def keep_recording(
 
 
 class _Producers:
-    """Producers that have not ended yet, and whether the recorder is told to end; Ctrl-C is left to them."""
+    """Producers that have not ended yet, and whether the recorder is told to end."""
 
     def __init__(self, selector: selectors.BaseSelector, ends: Sequence[socket.socket], stop: StopFlag | None) -> None:
         self._selector, self._stop = selector, stop
-        self.terminated = False
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, self._terminate)
+        self._terminated = _on_terminate()
         for receiver in map(RecorderReceiver, ends):
             selector.register(receiver, selectors.EVENT_READ)
 
-    def _terminate(self, *_: object) -> None:
-        self.terminated = True
+    @property
+    def terminated(self) -> bool:
+        """Whether SIGTERM came."""
+        return bool(self._terminated)
 
     @property
     def have_ended(self) -> bool:
@@ -93,6 +93,14 @@ class _Producers:
                 self._selector.unregister(key.fileobj)
             batches.append(batch)
         return batches
+
+
+def _on_terminate() -> list[int]:
+    """Leave Ctrl-C to the producers; the list is filled by SIGTERM."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    terminated: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: terminated.append(number))
+    return terminated
 
 
 def _write_file(path: Path, about: About, producers: _Producers, most_bytes: int | None) -> bool:
