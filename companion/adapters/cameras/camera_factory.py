@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from companion.adapters.cameras.folder import FolderPair
 from companion.adapters.cameras.oak import OakPair, OakReplayPair, OakSensor, OakTiming
@@ -59,7 +60,8 @@ def camera_factory(
     if kind == "video":
         return functools.partial(_paced, CapturePair, *map(Path, _two(where, spelling)), **_times_ns(left))
     if kind == "oak-replay":
-        return functools.partial(OakReplayPair, *map(Path, _two(where, spelling)), _oak_timing(left, triggered))
+        first_file, second_file = map(Path, _two(where, spelling))
+        return functools.partial(OakReplayPair, first_file, second_file, _oak_timing(left, triggered))
     if kind == "recording":
         return functools.partial(_paced, RecordedPair, Path(where))
     raise ConfigError(_unknown(spelling))
@@ -118,9 +120,9 @@ def _v4l2(words: list[str], left: Camera, right: Camera, *, triggered: bool) -> 
 
 
 def _paced(source: Callable[..., CameraPair], *files: Path, **times_ns: int) -> CameraPair:
-    """What opens a pair from files, at their own pace from now on."""
+    """Open a pair of files, which play at their own pace from now on."""
     return PacedPair(source(*files, **times_ns), MonotonicClock())
 
 
-def _times_ns(camera: Camera) -> dict[str, int]:
+def _times_ns(camera: Camera) -> dict[str, Any]:
     return {"exposure_ns": round(camera.exposure_s * 1e9), "row_time_ns": round(camera.row_time_s * 1e9)}

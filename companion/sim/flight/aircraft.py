@@ -7,6 +7,7 @@ Altitude, roll and the wobbles are analytic with their derivatives; the heading 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -268,24 +269,26 @@ def _bumps(plan: FlightPlan, t: Floats) -> Floats:
 
 
 def _bump_sines(t: Floats, rms_mps2: float) -> Floats:
-    phases_rad = np.arange(_BUMPS, dtype=np.float64) ** 2
-    return _sines(t, 2 * math.pi * np.geomspace(2.0, 12.0, _BUMPS), phases_rad, rms_mps2, acceleration=True)
+    omegas_radps = (2 * math.pi * np.geomspace(2.0, 12.0, _BUMPS)).tolist()
+    return _sines(t, omegas_radps, [number**2 for number in range(_BUMPS)], rms_mps2, acceleration=True)
 
 
 def _wobble(rng: np.random.Generator, t: Floats, rms: float, *, acceleration: bool = False) -> Floats:
     """Seven sines of random phase, (4, n), as :func:`_sines`."""
     base = np.geomspace(0.2, 1.5, 7) * rng.uniform(0.95, 1.05, 7)
     phases = rng.uniform(0.0, 2 * math.pi, 7)
-    return _sines(t, 2 * math.pi * base, phases, rms, acceleration=acceleration)
+    return _sines(t, (2 * math.pi * base).tolist(), phases.tolist(), rms, acceleration=acceleration)
 
 
-def _sines(t: Floats, omegas_radps: Floats, phases_rad: Floats, rms: float, *, acceleration: bool) -> Floats:
+def _sines(
+    t: Floats, omegas_radps: list[float], phases_rad: Sequence[float], rms: float, *, acceleration: bool
+) -> Floats:
     """Sines of equal amplitude: value and three derivatives, (4, n).
 
     ``rms`` is that of the value, or of its second derivative.
     """
     rows = np.zeros((4, len(t)))
-    for omega, phase in zip(omegas_radps.tolist(), phases_rad.tolist(), strict=True):
+    for omega, phase in zip(omegas_radps, phases_rad, strict=True):
         amplitude = rms * math.sqrt(2 / len(omegas_radps)) / (omega**2 if acceleration else 1.0)
         for order in range(4):
             rows[order] += amplitude * omega**order * np.sin(omega * t + phase + order * math.pi / 2)

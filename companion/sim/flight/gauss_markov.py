@@ -10,7 +10,7 @@ from companion.records import Floats
 
 
 def wandering(shape: tuple[int, ...], step: float, rng: np.random.Generator) -> Floats:
-    """Gauss-Markov process of unit variance; ``step`` is that of a row over the correlation time."""
+    """Gauss-Markov process of unit variance, (n, ...); ``step`` is that of a row over the correlation time."""
     wander = rng.standard_normal(shape)
     keep = math.exp(-step)
     wander[1:] *= math.sqrt(1.0 - keep**2)

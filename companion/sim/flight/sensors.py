@@ -100,7 +100,7 @@ def corrupted(
 
 def drifting(t_s: Floats, time_s: float, columns: int, rng: np.random.Generator) -> Floats:
     """Ornstein-Uhlenbeck paths of unit variance, (n, columns), exact every half second and straight in between."""
-    nodes_s = np.arange(int(t_s[-1] / _BIAS_STEP_S) + 2) * _BIAS_STEP_S
+    nodes_s = np.arange(int(t_s[-1] / _BIAS_STEP_S) + 2) * np.float64(_BIAS_STEP_S)
     return between(nodes_s, wandering((len(nodes_s), columns), _BIAS_STEP_S / time_s, rng), t_s)
 
 
@@ -138,7 +138,7 @@ class Lowpass:
         self._state: Any = None
 
     def run(self, values: Floats) -> Floats:
-        """Filter the next segment."""
+        """Filter the next samples (n, 3)."""
         from scipy.signal import lfilter  # 0.8 s to import, so late
 
         if self._biquad is None or not len(values):

@@ -69,7 +69,7 @@ class _BufferedSocket:
 
 
 class _TcpTransport:
-    """What client and server do with the connection that they have."""
+    """Connection of a client or a server, which read and write it alike."""
 
     _stream: _BufferedSocket | None = None
 

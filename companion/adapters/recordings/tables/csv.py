@@ -156,7 +156,7 @@ def accel_files(folder: Path) -> list[Path]:
 def by_station(
     file: Path, place: str, columns: Mapping[str, Floats]
 ) -> tuple[dict[Station, list[tuple[int, Floats]]], dict[str, Floats]]:
-    """Inertial columns in SI by station, each with the index of its axis, and the other columns by name.
+    """Inertial columns (n,) in SI by station, each with the index of its axis, and the other columns by name.
 
     ``place`` is that of ``accel_<place>.csv``, or "". Raises TableError where place, axis or unit is wrong.
     """
