@@ -74,10 +74,10 @@ class TruthAirframe:
 def draw_truth(airframe: Airframe, rng: np.random.Generator, effects: tuple[NamedEffect, ...] = ()) -> TruthAirframe:
     """Draw every :class:`Uncertain`, the sensor errors, the gust's colour and the clocks; add hidden effects."""
     actual: Airframe = _drawn(airframe, rng)
-    corners = tuple(
-        corner * math.exp(_CORNER_SPREAD * rng.standard_normal()) for corner in airframe.wing.gust.corners_hz
+    low_hz, high_hz = (
+        corner_hz * math.exp(_CORNER_SPREAD * rng.standard_normal()) for corner_hz in airframe.wing.gust.corners_hz
     )
-    gust = dataclasses.replace(actual.wing.gust, corners_hz=corners)
+    gust = dataclasses.replace(actual.wing.gust, corners_hz=(low_hz, high_hz))
     actual = dataclasses.replace(
         actual, wing=dataclasses.replace(actual.wing, gust=gust), effects=(*airframe.effects, *effects)
     ).with_cameras(lambda _, camera: _mounted(camera, rng))
