@@ -19,16 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.forced.equation_rows import (
-    FINER,
-    LAWS,
-    EquationRows,
-    ForcedRecording,
-    TaperedSegment,
-    integration,
-    law_slopes,
-)
-from companion.diagnosis.forced.even_recording import EvenRecording
+from companion.diagnosis.forced.equation_rows import FINER, LAWS, EquationRows, integration, law_slopes
 from companion.diagnosis.forced.force_delay import Spectra, real_rows
 from companion.diagnosis.forced.row_noise import beside_noise_of_force, dynamic_stiffness
 from companion.diagnosis.forced.smoothed_motion import Observed, Smoothed, smoothed
@@ -87,64 +78,47 @@ class _Columns:
 
 
 def consistent_fit(
-    recordings: Sequence[ForcedRecording],
-    grids: Sequence[EvenRecording],
-    band_hz: tuple[float, float],
-    rows: EquationRows,
-    delay_s: float | None,
-    laws: Sequence[str],
-    start: Floats,
+    rows: EquationRows, delay_s: float | None, laws: Sequence[str], start: Floats
 ) -> ConsistentFit | None:
     """Coefficients of mass, damping, stiffness and ``laws``, begun at ``start`` (c,), None: they diverge.
 
     The force is advanced by ``delay_s``, of which the rest is a further parameter; None: it has no delay.
     """
-    turned = np.exp(1j * rows.omega * (delay_s or 0.0))
-    force = real_rows(rows.table[0] * turned)
-    late = real_rows(-1j * rows.omega * rows.table[0] * turned)[None] if delay_s is not None else np.zeros((0, 0))
+    force = rows.force(delay_s or 0.0)
+    late = np.zeros((0, len(force))) if delay_s is None else rows.force_per_delay(delay_s)[None]
     used = [*range(3), *(3 + i for i, name in enumerate(LAWS) if name in laws)]
     names = (*LINEAR, *(name for name in LAWS if name in laws), *([DELAY] if len(late) else []))
     theta, rest = start, np.zeros(len(late))
-    per_recording = np.cumsum([len(even.force) for even in grids])[:-1]
+    per_recording = np.cumsum([len(even.force) for even in rows.grids])[:-1]
     slopes = tuple(np.split(rows.slopes, per_recording, axis=2))
     columns = _Columns(real_rows(rows.table[1:]), np.zeros((0, 0)), slopes, None, False)
     try:
         for turn in range(_TURNS):
             if turn < _FREE:
-                fitted = np.concatenate([theta, rest]) @ _beside(columns.measured, late)
+                fitted = np.concatenate([theta, rest]) @ np.concatenate([columns.measured, late])
                 noise = _noise(rows, force - fitted, theta, columns)
-            columns = _columns(recordings, grids, band_hz, rows, delay_s or 0.0, theta, noise, columns.reached)
-            x, z = (_beside(each[used], late) for each in (columns.measured, columns.instrument))
+            columns = _columns(rows, delay_s or 0.0, theta, noise, columns.reached)
+            x, z = (np.concatenate([each[used], late]) for each in (columns.measured, columns.instrument))
             inverse = np.linalg.inv((z / noise.rows) @ x.T)
             before, values = np.concatenate([theta[used], rest]), inverse @ ((z / noise.rows) @ force)
-            covariance = (
-                inverse @ _score_covariance(recordings, grids, band_hz, rows, theta, noise, columns, z) @ inverse.T
-            )
+            covariance = inverse @ _score_covariance(rows, theta, noise, columns, z) @ inverse.T
             theta = np.zeros(len(start))
             theta[used], rest = values[: len(used)], values[len(used) :]
             if np.all(np.abs(values - before) < _SETTLED * np.sqrt(np.diag(covariance))):
-                loud = noise.force > _MOST_FORCE_NOISE**2 * max(float(np.var(even.force)) for even in grids)
+                loud = noise.force > _MOST_FORCE_NOISE**2 * max(float(np.var(even.force)) for even in rows.grids)
                 return ConsistentFit(names, values, covariance) if columns.complete and not loud else None
     except (np.linalg.LinAlgError, FloatingPointError, ValueError):
         return None
     return None
 
 
-def _beside(columns: Floats, late: Floats) -> Floats:
-    return np.concatenate([columns, late]) if len(late) else columns
-
-
-def _by_segment(rows: EquationRows) -> list[tuple[Floats, Floats, TaperedSegment]]:
-    """Omega and the response's kind of the rows of each segment, with the segment."""
-    ends = np.cumsum([int(segment.bins.sum()) for segment in rows.segments])[:-1]
-    return list(zip(np.split(rows.omega, ends), np.split(rows.kind, ends), rows.segments, strict=True))
-
-
 def _noise(rows: EquationRows, residual: Floats, theta: Floats, columns: _Columns) -> _Noise:
     """Likeliest noise by what the rows leave: the slopes of a sweep's laws are large in one segment alone."""
     each = [
         dynamic_stiffness(omega, kind, theta, columns.slopes[segment.recording], segment)
-        for omega, kind, segment in _by_segment(rows)
+        for omega, kind, segment in zip(
+            rows.by_segment(rows.omega), rows.by_segment(rows.kind), rows.segments, strict=True
+        )
     ]
     dynamic = np.tile(np.concatenate(each), 2)
     level = float(dynamic.mean())
@@ -155,48 +129,60 @@ def _noise(rows: EquationRows, residual: Floats, theta: Floats, columns: _Column
 
 
 def _columns(
-    recordings: Sequence[ForcedRecording],
-    grids: Sequence[EvenRecording],
-    band_hz: tuple[float, float],
-    rows: EquationRows,
-    delay_s: float,
-    theta: Floats,
-    noise: _Noise,
-    last: Sequence[Smoothed] | None,
+    rows: EquationRows, delay_s: float, theta: Floats, noise: _Noise, last: Sequence[Smoothed] | None
 ) -> _Columns:
     """Columns with the likeliest motion of every recording."""
     measured: list[Spectra] = []
     instrument: list[Spectra] = []
     slopes = []
     reached: list[Smoothed] = []
-    for number, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
-        integral, jw = integration(even, band_hz, entry.kind)
-        count, finer = len(even.force), int(np.clip(np.ceil(_PER_WAVE * band_hz[1] / even.rate_hz), 1, FINER))
-        step_s = 1.0 / (finer * even.rate_hz)
-        force = _finer(np.fft.rfft(even.force) * np.exp(jw * delay_s), count, finer)
-        at = np.flatnonzero(~even.lost)
-        observed = Observed(force, step_s, even.response[at], finer * at, entry.kind)
-        first = Smoothed(_finer(integral * np.fft.rfft(even.response), count, finer), float(np.var(even.force)))
-        start = first if last is None else Smoothed(last[number].deflection, _WARMER * last[number].var_n)
-        reached.append(smoothed(observed, start, theta[:3], theta[3:], noise.response, finer * noise.force))
-        p = reached[-1].deflection
-        fine, fine_jw = np.fft.rfft(p), 2j * np.pi * np.fft.rfftfreq(len(p), step_s)
-        motion = [np.fft.irfft(fine * fine_jw**power, len(p)) for power in (0, 1, 2)]  # differences would bias X
-        left = np.where(even.lost, 0.0, even.response - motion[entry.kind][::finer])
-        rest = integral * np.fft.rfft(left)
-        by_q, by_v = law_slopes(p, motion[1])
-        bends = np.stack([law(p, motion[1]) for _, law in LAWS.values()])
-        straight = by_q * _finer(rest, count, finer) + by_v * _finer(jw * rest, count, finer)
-        of_p = [*_coarser(np.stack(motion[::-1]), count), *_coarser(bends, count)]
-        of_rest = [*(np.fft.irfft(rest * jw**power, count) for power in (2, 1, 0)), *_coarser(straight, count)]
+    for number in range(len(rows.recordings)):
+        reached.append(_likeliest_motion(rows, number, delay_s, theta, noise, None if last is None else last[number]))
+        of_motion, of_rest, law_slope = _series(rows, number, reached[-1].deflection)
         for segment in (each for each in rows.segments if each.recording == number):
-            instrument.append(segment.rows(of_p))
+            instrument.append(segment.rows(of_motion))
             measured.append(instrument[-1] + segment.rows(of_rest))
-        slopes.append(np.stack([by_q[:, ::finer], by_v[:, ::finer]]))
+        slopes.append(law_slope)
     x, z = (real_rows(np.concatenate(each, axis=1)) for each in (measured, instrument))
     least = max(noise.force, _LITTLE * float(noise.rows.min()) / _TAPERED)
     complete = all(each.var_n <= _COMPLETE * least for each in reached)
     return _Columns(x, z, tuple(slopes), reached, complete)
+
+
+def _likeliest_motion(
+    rows: EquationRows, number: int, delay_s: float, theta: Floats, noise: _Noise, last: Smoothed | None
+) -> Smoothed:
+    """Likeliest motion of a recording at some times its rate, begun at that of the last turn."""
+    entry, even = rows.recordings[number], rows.grids[number]
+    integral, jw = integration(even, rows.band_hz, entry.kind)
+    count, finer = len(even.force), int(np.clip(np.ceil(_PER_WAVE * rows.band_hz[1] / even.rate_hz), 1, FINER))
+    force = _finer(np.fft.rfft(even.force) * np.exp(jw * delay_s), count, finer)
+    at = np.flatnonzero(~even.lost)
+    observed = Observed(force, 1.0 / (finer * even.rate_hz), even.response[at], finer * at, entry.kind)
+    if last is None:
+        start = Smoothed(_finer(integral * np.fft.rfft(even.response), count, finer), float(np.var(even.force)))
+    else:
+        start = Smoothed(last.deflection, _WARMER * last.var_n)
+    return smoothed(observed, start, theta[:3], theta[3:], noise.response, finer * noise.force)
+
+
+def _series(rows: EquationRows, number: int, p: Floats) -> tuple[list[Floats], list[Floats], Floats]:
+    """Columns over time by a motion (finer n,) of a recording, and by what the response has beside it, (n,) each.
+
+    Also the slopes of the laws over deflection and speed, (2, laws, n).
+    """
+    entry, even = rows.recordings[number], rows.grids[number]
+    integral, jw = integration(even, rows.band_hz, entry.kind)
+    count, finer = len(even.force), len(p) // len(even.force)
+    fine, fine_jw = np.fft.rfft(p), 2j * np.pi * np.fft.rfftfreq(len(p), 1.0 / (finer * even.rate_hz))
+    motion = [np.fft.irfft(fine * fine_jw**power, len(p)) for power in (0, 1, 2)]  # differences would bias X
+    rest = integral * np.fft.rfft(np.where(even.lost, 0.0, even.response - motion[entry.kind][::finer]))
+    by_q, by_v = law_slopes(p, motion[1])
+    bends = np.stack([law(p, motion[1]) for _, law in LAWS.values()])
+    straight = by_q * _finer(rest, count, finer) + by_v * _finer(jw * rest, count, finer)
+    of_motion = [*_coarser(np.stack(motion[::-1]), count), *_coarser(bends, count)]
+    of_rest = [*(np.fft.irfft(rest * jw**power, count) for power in (2, 1, 0)), *_coarser(straight, count)]
+    return of_motion, of_rest, np.stack([by_q[:, ::finer], by_v[:, ::finer]])
 
 
 def _finer(spectrum: Spectra, count: int, finer: int) -> Floats:
@@ -210,28 +196,21 @@ def _coarser(series: Floats, count: int) -> Floats:
 
 
 def _score_covariance(
-    recordings: Sequence[ForcedRecording],
-    grids: Sequence[EvenRecording],
-    band_hz: tuple[float, float],
-    rows: EquationRows,
-    theta: Floats,
-    noise: _Noise,
-    columns: _Columns,
-    instrument: Floats,
+    rows: EquationRows, theta: Floats, noise: _Noise, columns: _Columns, instrument: Floats
 ) -> Floats:
     """Covariance (p, p) of the equations' left sides by the noise of response and force."""
     half = len(rows.omega)
     weights = (instrument[:, :half] + 1j * instrument[:, half:]) / noise.rows[:half]
-    ends = np.cumsum([0, *(int(segment.bins.sum()) for segment in rows.segments)])
+    by_segment = list(zip(rows.segments, rows.by_segment(weights), strict=True))
     total = np.zeros((len(instrument), len(instrument)))
     m, c, k = theta[:3].tolist()
-    for number, (entry, even) in enumerate(zip(recordings, grids, strict=True)):
+    for number, (entry, even) in enumerate(zip(rows.recordings, rows.grids, strict=True)):
         a = np.zeros((len(instrument), len(even.force)))
-        for segment, first, last in zip(rows.segments, ends, ends[1:], strict=False):
+        for segment, in_bins in by_segment:
             if segment.recording == number:
-                a[:, segment.first : segment.stop] += [segment.turned_back(each[first:last]) for each in weights]
+                a[:, segment.first : segment.stop] += [segment.turned_back(each) for each in in_bins]
         stiff, damp = np.tensordot(theta[3:], columns.slopes[number], (0, 1))
-        integral, jw = integration(even, band_hz, entry.kind)
+        integral, jw = integration(even, rows.band_hz, entry.kind)
         straight = np.conj(m * jw**2 + c * jw + k) * np.fft.rfft(a)
         bent = np.fft.rfft(stiff * a) + np.conj(jw) * np.fft.rfft(damp * a)
         g = np.fft.irfft(np.conj(integral) * (straight + bent), len(even.force))

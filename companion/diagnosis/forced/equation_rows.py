@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -14,7 +15,7 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.even_recording import EvenRecording
-from companion.diagnosis.forced.force_delay import Spectra
+from companion.diagnosis.forced.force_delay import Spectra, real_rows
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
@@ -34,6 +35,7 @@ LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
     CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
 }
+FloatsOrSpectra = TypeVar("FloatsOrSpectra", Floats, Spectra)
 _SIGN = list(LAWS).index(CoulombFriction.name)
 
 
@@ -75,10 +77,13 @@ class TaperedSegment:
 class EquationRows:
     """Bins (n,) of all segments: ``table`` (s, n) is force, m, c and k's columns and the laws', ``block`` the segment.
 
-    ``kind`` is the response's, ``motions`` (2, samples) are deflection and speed over time, and ``power`` is the
-    deflection's at all frequencies.
+    They are those of ``band_hz`` of the ``recordings``, put on even ``grids``. ``kind`` is the response's, ``motions``
+    (2, samples) are deflection and speed over time, and ``power`` is the deflection's at all frequencies.
     """
 
+    recordings: tuple[ForcedRecording, ...]
+    grids: tuple[EvenRecording, ...]
+    band_hz: tuple[float, float]
     table: Spectra
     omega: Floats
     kind: Floats
@@ -86,6 +91,18 @@ class EquationRows:
     motions: Floats
     power: float
     segments: tuple[TaperedSegment, ...]
+
+    def force(self, delay_s: float) -> Floats:
+        """Force advanced by a delay, real rows (2 n,)."""
+        return real_rows(self.table[0] * np.exp(1j * self.omega * delay_s))
+
+    def force_per_delay(self, delay_s: float) -> Floats:
+        """Change of that force per second by which it came later still, real rows (2 n,)."""
+        return real_rows(-1j * self.omega * self.table[0] * np.exp(1j * self.omega * delay_s))
+
+    def by_segment(self, values: FloatsOrSpectra) -> list[FloatsOrSpectra]:
+        """Values (..., n) of the bins, split into those of each segment."""
+        return np.split(values, np.cumsum([int(segment.bins.sum()) for segment in self.segments])[:-1], axis=-1)
 
     @property
     def slopes(self) -> Floats:
@@ -132,10 +149,11 @@ def equation_rows(
     )
     bins_radps = [float(np.diff(each).min()) for each in omegas if len(each) > 1]  # without force none
     _check_spread(np.abs(table[0]) ** 2, omega, max(bins_radps, default=np.inf))
-    return EquationRows(table, omega, kinds_of, block, motion, power, tuple(segments))
+    shown = (tuple(recordings), tuple(grids), band_hz)
+    return EquationRows(*shown, table, omega, kinds_of, block, motion, power, tuple(segments))
 
 
-def refuse_integrated_noise(rows: EquationRows, band_hz: tuple[float, float]) -> None:
+def refuse_integrated_noise(rows: EquationRows) -> None:
     """Noise of a speed or an acceleration grows towards low frequencies by integration, and laws take it for motion.
 
     Raises
@@ -147,18 +165,12 @@ def refuse_integrated_noise(rows: EquationRows, band_hz: tuple[float, float]) ->
     if rows.kind.any() and noise_ratio > _MOST_NOISE:
         raise RecordingError(
             f"{100.0 * noise_ratio:.0f} % of the deflection that was integrated from the response are at frequencies "
-            f"of no force, as noise is: let band_hz, {band_hz[0]:g} to {band_hz[1]:g} Hz, begin and end where the "
-            "force does"
+            f"of no force, as noise is: let band_hz, {rows.band_hz[0]:g} to {rows.band_hz[1]:g} Hz, begin and end "
+            "where the force does"
         )
 
 
-def beyond_half_rate(
-    recordings: Sequence[ForcedRecording],
-    grids: Sequence[EvenRecording],
-    band_hz: tuple[float, float],
-    linear: Floats,
-    laws: Floats,
-) -> float:
+def beyond_half_rate(rows: EquationRows, linear: Floats, laws: Floats) -> float:
     """Rms of the deflection that laws put beyond half the rate over that of all, the largest of all recordings.
 
     ``linear`` (3,) are mass, damping and stiffness, ``laws`` (laws,) the coefficients of all laws: a law's force f
@@ -166,15 +178,15 @@ def beyond_half_rate(
     """
     m, c, k = linear.tolist()
     ratios = []
-    for entry, even in zip(recordings, grids, strict=True):
-        spectrum, jw = motion_spectrum(even, band_hz, entry.kind)
+    for entry, even in zip(rows.recordings, rows.grids, strict=True):
+        spectrum, jw = _motion_spectrum(even, rows.band_hz, entry.kind)
         omega = 2.0 * np.pi * np.fft.rfftfreq(FINER * len(even.force), 1.0 / (FINER * even.rate_hz))
         moved = laws @ _law_spectra(spectrum, jw, len(even.force)) / (k + 1j * omega * c - omega**2 * m)
         ratios.append(float(np.linalg.norm(moved[omega > np.pi * even.rate_hz]) / np.linalg.norm(spectrum)))
     return max(ratios)
 
 
-def motion_spectrum(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+def _motion_spectrum(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
     """Spectrum of the deflection, and j omega, (f,)."""
     integral, jw = integration(even, band_hz, kind)
     return integral * np.fft.rfft(even.response), jw
@@ -201,7 +213,7 @@ def _law_spectra(spectrum: Spectra, jw: Spectra, count: int) -> Spectra:
 def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
     """Force, acceleration, speed, deflection and laws over time, (n,) each."""
     count = len(even.force)
-    spectrum, jw = motion_spectrum(even, band_hz, kind)
+    spectrum, jw = _motion_spectrum(even, band_hz, kind)
     deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
     laws = _law_spectra(spectrum, jw, count)[:, : len(jw)]
     return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]

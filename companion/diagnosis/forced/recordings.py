@@ -72,30 +72,25 @@ class ForcedDiagnosis:
     def linear(self, extended: bool) -> Floats:
         """Mass, damping and stiffness, (3,)."""
         consistent = self.consistent[extended]
-        if consistent is not None:
-            return consistent.values[:3]
-        return self._compensated(extended)
+        return self.start(extended)[1][:3] if consistent is None else consistent.values[:3]
 
     def linear_sigmas(self, extended: bool) -> Floats:
         """Sigmas of mass, damping and stiffness, (3,)."""
         consistent = self.consistent[extended]
         if consistent is not None:
             return np.array([consistent.value(name)[1] for name in LINEAR])
-        fitted = self.outcome.final if extended else self.outcome.null
-        return np.array([fitted.value(name)[1] for name in LINEAR]) / self.scale[:3]
+        return np.array([self._fit(extended).value(name)[1] for name in LINEAR]) / self.scale[:3]
 
     def start(self, extended: bool) -> tuple[list[str], Floats]:
         """Accepted laws of a model, and the coefficients by bias compensation, (c,): three, and all laws."""
-        fitted = self.outcome.final if extended else self.outcome.null
+        fitted = self._fit(extended)
         shift = self._shift(fitted)
         laws = [name for name in LAWS if name in fitted.keys]
         each = {name: fitted.value(name)[0] + shift[name] for name in (*LINEAR, *laws)}
         return laws, np.array([each.get(name, 0.0) for name in (*LINEAR, *LAWS)]) / self.scale
 
-    def _compensated(self, extended: bool) -> Floats:
-        fitted = self.outcome.final if extended else self.outcome.null
-        shift = self._shift(fitted)
-        return np.array([fitted.value(name)[0] + shift[name] for name in LINEAR]) / self.scale[:3]
+    def _fit(self, extended: bool) -> RegressionFit:
+        return self.outcome.final if extended else self.outcome.null
 
     def coefficient(self, cause: Cause[RegressionTerm]) -> tuple[float, float]:
         """Coefficient of a law in force per its power of the response, and its sigma."""
@@ -148,63 +143,99 @@ def diagnose_forced(
     grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
     step_s = 1.0 / _common_rate_hz(recordings, grids)
     rows = equation_rows(recordings, grids, band_hz)
-    start_s = _aligned(recordings, grids, band_hz, rows, step_s)
-    refuse_integrated_noise(rows, band_hz)
+    start_s = _aligned(rows, step_s)
+    refuse_integrated_noise(rows)
     delay_s = _delay(rows, start_s, step_s)
-    shift = np.exp(1j * rows.omega * delay_s)
-    force, late = real_rows(rows.table[0] * shift), real_rows(-1j * rows.omega * rows.table[0] * shift)
-    columns, scale, weight, variance = _weighted(rows, delay_s)
-    omega, block = np.tile(rows.omega, 2), np.tile(rows.block, 2)
-    linear = tuple(
-        Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
-        for name, column in zip(LINEAR, columns, strict=False)
-    )
-    if delay_s:  # its error is one of damping
-        linear += (Coefficient(DELAY, FORCE, late, step_s, "s", "what is left of the delay"),)
-    rms = float(np.sqrt(np.mean(force**2)))
-    group = np.zeros(len(force), dtype=np.int64)
-    response = RegressionResponse(
-        FORCE, force, weight, group, block, omega, 0.0, 1e-3 * rms, 0.1 * rms, linear, independent_ratio=_INDEPENDENT
-    )
-    terms = [
-        RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
-        for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
-    ]
-    notes = (*(note for even in grids for note in even.notes), *_offsets(recordings))
-    outcome = diagnose(_Forced([response], terms), most, progress)
-    if delay_s:
-        rest_s, sigma_s = outcome.final.value(DELAY)
-        comes = "late" if delay_s > 0.0 else "early"
-        notes += (
-            f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
-            f"{abs(delay_s + rest_s) / step_s:.2f} rows: removed; look for filters or clocks that differ",
-        )
-    added = added_by_noise(omega, np.tile(rows.kind, 2), rows.slopes, variance, scale)
-    late_too = np.pad(added, ((0, 1), (0, 1)))
-    white = np.concatenate([columns, late[None, :]]) / weight
-    noise = NoiseShare((*LINEAR, *LAWS, DELAY), white, late_too)
-    diagnosis = ForcedDiagnosis(outcome, tuple(recordings), scale, noise)
-    consistent = [
-        consistent_fit(recordings, grids, band_hz, rows, delay_s or None, laws, start)
-        for laws, start in map(diagnosis.start, (False, True))
-    ]
-    diagnosis = replace(diagnosis, consistent=(consistent[0], consistent[1]))
-    error = error_ratio(rows.table[0], rows.table[1:], rows.omega, delay_s)
-    if error > _MOST_ERROR:
-        trust = "laws may be hidden" if consistent[1] else "do not trust its coefficients"
-        notes += (
-            f"the equation leaves {100.0 * error:.0f} % of the force: the response is noise for the most part, or has "
-            f"another cause; {trust}",
-        )
+    equation = _weighted(rows, delay_s)
+    outcome = diagnose(_regressions(rows, equation, delay_s, step_s), most, progress)
+    diagnosis = ForcedDiagnosis(outcome, rows.recordings, equation.scale, _noise_share(rows, equation, delay_s))
+    before, after = (consistent_fit(rows, delay_s or None, *diagnosis.start(extended)) for extended in (False, True))
+    diagnosis = replace(diagnosis, consistent=(before, after))
     if {"mass", "stiffness"} <= set(diagnosis.negative()):
         raise RecordingError(
             "mass and stiffness come out negative: force and response have opposite signs (change the sign of one in "
             "the mapping), or the response is an acceleration (name its channel response_<what>_mps2)"
         )
-    return replace(diagnosis, notes=(*notes, *_aliased(diagnosis, grids, band_hz)))
+    notes = [note for even in grids for note in even.notes] + _offsets(recordings)
+    notes += _delayed(outcome.final, delay_s, step_s) if delay_s else []
+    notes += _unfitted(rows, delay_s, trusted=after is not None) + _aliased(diagnosis, rows)
+    return replace(diagnosis, notes=tuple(notes))
 
 
-def _aliased(diagnosis: ForcedDiagnosis, grids: Sequence[EvenRecording], band_hz: tuple[float, float]) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class _WeightedEquation:
+    """Force (2 n,) without its delay, and columns (s, 2 n) over ``scale`` (s,).
+
+    ``noise`` (2 n,) is the relative noise of each row, ``variance`` (2 n,) its variance over that of the response.
+    """
+
+    force: Floats
+    columns: Floats
+    scale: Floats
+    noise: Floats
+    variance: Floats
+
+
+def _weighted(rows: EquationRows, delay_s: float) -> _WeightedEquation:
+    force, columns = rows.force(delay_s), real_rows(rows.table[1:])
+    scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
+    columns = columns / scale[:, None]
+    return _WeightedEquation(force, columns, scale, *row_noise(rows, force, columns, scale))
+
+
+def _regressions(rows: EquationRows, equation: _WeightedEquation, delay_s: float, step_s: float) -> _Forced:
+    """The equation as a regression on mass, damping, stiffness and the rest of a delay, and laws that may join."""
+    linear = tuple(
+        Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
+        for name, column in zip(LINEAR, equation.columns, strict=False)
+    )
+    if delay_s:  # its error is one of damping
+        late = rows.force_per_delay(delay_s)
+        linear += (Coefficient(DELAY, FORCE, late, step_s, "s", "what is left of the delay"),)
+    force, rms = equation.force, float(np.sqrt(np.mean(equation.force**2)))
+    group, block, omega = np.zeros(len(force), dtype=np.int64), np.tile(rows.block, 2), np.tile(rows.omega, 2)
+    bounds = (0.0, 1e-3 * rms, 0.1 * rms)
+    response = RegressionResponse(
+        FORCE, force, equation.noise, group, block, omega, *bounds, linear, independent_ratio=_INDEPENDENT
+    )
+    terms = [
+        RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
+        for (name, (unit, _)), column in zip(LAWS.items(), equation.columns[3:], strict=True)
+    ]
+    return _Forced([response], terms)
+
+
+def _noise_share(rows: EquationRows, equation: _WeightedEquation, delay_s: float) -> NoiseShare:
+    """Part of the normal matrix that the response's noise makes; it has none in the delay's column."""
+    omega, kind = np.tile(rows.omega, 2), np.tile(rows.kind, 2)
+    added = np.pad(added_by_noise(omega, kind, rows.slopes, equation.variance, equation.scale), ((0, 1), (0, 1)))
+    white = np.concatenate([equation.columns, rows.force_per_delay(delay_s)[None, :]]) / equation.noise
+    return NoiseShare((*LINEAR, *LAWS, DELAY), white, added)
+
+
+def _delayed(final: RegressionFit, delay_s: float, step_s: float) -> list[str]:
+    """A delay that was removed, in words."""
+    rest_s, sigma_s = final.value(DELAY)
+    comes = "late" if delay_s > 0.0 else "early"
+    return [
+        f"the force comes {abs(delay_s + rest_s) * 1e3:.3f} ± {sigma_s * 1e3:.3f} ms {comes} against the response, "
+        f"{abs(delay_s + rest_s) / step_s:.2f} rows: removed; look for filters or clocks that differ"
+    ]
+
+
+def _unfitted(rows: EquationRows, delay_s: float, *, trusted: bool) -> list[str]:
+    """A large part of the force that no equation of motion explains, in words."""
+    error = error_ratio(rows.table[0], rows.table[1:], rows.omega, delay_s)
+    if error <= _MOST_ERROR:
+        return []
+    trust = "laws may be hidden" if trusted else "do not trust its coefficients"
+    return [
+        f"the equation leaves {100.0 * error:.0f} % of the force: the response is noise for the most part, or has "
+        f"another cause; {trust}"
+    ]
+
+
+def _aliased(diagnosis: ForcedDiagnosis, rows: EquationRows) -> list[str]:
     """Harmonics of the accepted laws beyond half the rate, which fold back into the response."""
     accepted = {
         cause.term.name: diagnosis.coefficient(cause)[0]
@@ -213,10 +244,10 @@ def _aliased(diagnosis: ForcedDiagnosis, grids: Sequence[EvenRecording], band_hz
     if not accepted:
         return []
     laws = np.array([accepted.get(name, 0.0) for name in LAWS])
-    ratio = beyond_half_rate(diagnosis.recordings, grids, band_hz, diagnosis.linear(True), laws)
+    ratio = beyond_half_rate(rows, diagnosis.linear(True), laws)
     if ratio <= _MOST_ALIASED:
         return []
-    half_hz = 0.5 * _common_rate_hz(diagnosis.recordings, grids)
+    half_hz = 0.5 * _common_rate_hz(rows.recordings, rows.grids)
     if diagnosis.consistent[1] is None:
         harm = "coefficients may be off by many sigmas"
     else:
@@ -254,13 +285,7 @@ def _common_rate_hz(recordings: Sequence[ForcedRecording], grids: Sequence[EvenR
     return float(rates_hz.mean())
 
 
-def _aligned(
-    recordings: Sequence[ForcedRecording],
-    grids: Sequence[EvenRecording],
-    band_hz: tuple[float, float],
-    rows: EquationRows,
-    step_s: float,
-) -> float:
+def _aligned(rows: EquationRows, step_s: float) -> float:
     """Delay of the force in s that fits best without weights.
 
     Raises
@@ -269,10 +294,11 @@ def _aligned(
         The equation fits a response of another kind far better.
     """
     start_s, error = least_error(rows.table[0], rows.table[1:], rows.omega, step_s)
-    stated = recordings[0].kind
-    if any(entry.kind is not stated for entry in recordings):
+    stated = rows.recordings[0].kind
+    if any(entry.kind is not stated for entry in rows.recordings):
         return start_s
-    others = {kind: equation_rows(recordings, grids, band_hz, kind) for kind in ResponseKind if kind is not stated}
+    source = (rows.recordings, rows.grids, rows.band_hz)
+    others = {kind: equation_rows(*source, kind) for kind in ResponseKind if kind is not stated}
     errors = {kind: least_error(each.table[0], each.table[1:], each.omega, step_s)[1] for kind, each in others.items()}
     other = another_kind(stated, {stated: error, **errors})
     if other is not None:
@@ -296,16 +322,7 @@ def _delay(rows: EquationRows, start_s: float, step_s: float) -> float:
 
 
 def _log_likelihood(rows: EquationRows, delay_s: float) -> float:
-    force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
-    columns, _, weight, _ = _weighted(rows, delay_s)
-    left = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] @ columns - force
-    return profile_log_likelihood(left**2, weight**2)
-
-
-def _weighted(rows: EquationRows, delay_s: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Columns (s, 2 n) over ``scale`` (s,); relative noise of each row (2 n,), and its variance over the response's."""
-    force = real_rows(rows.table[0] * np.exp(1j * rows.omega * delay_s))
-    columns = real_rows(rows.table[1:])
-    scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
-    columns = columns / scale[:, None]
-    return columns, scale, *row_noise(rows, force, columns, scale)
+    equation = _weighted(rows, delay_s)
+    force, columns, noise = equation.force, equation.columns, equation.noise
+    left = np.linalg.lstsq((columns / noise).T, force / noise, rcond=None)[0] @ columns - force
+    return profile_log_likelihood(left**2, noise**2)
