@@ -6,11 +6,24 @@ from collections.abc import Iterable
 from typing import Any
 
 from companion.diagnosis.selection.block_bootstrap import Interval
-from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.check import Check, DiagnosisVerdict
 from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.recordings import Cause
+from companion.diagnosis.selection.score_tests import Candidate
 
+_FORMAT = 1  # version of the JSON (convention)
 _SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution (derived)
+
+
+def opening(recordings: Iterable[str], airframe: str | None, verdict: DiagnosisVerdict, reason: str) -> dict[str, Any]:
+    """What every diagnosis opens with."""
+    return {
+        "format": _FORMAT,
+        "recordings": list(recordings),
+        "airframe": airframe,
+        "verdict": str(verdict),
+        "reason": reason,
+    }
 
 
 def quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:
@@ -32,6 +45,21 @@ def failures(tested: Iterable[Check]) -> list[dict[str, Any]]:
 def adequacy(before: Iterable[Check], after: Iterable[Check]) -> dict[str, Any]:
     """Adequacy tests of the believed and of the extended model."""
     return {"before": checks(before), "after": checks(after)}
+
+
+def residual(verdict: DiagnosisVerdict, description: str, after: Iterable[Check]) -> dict[str, Any] | None:
+    """Description of what is left without a name, and the tests that failed; None where nothing is."""
+    if verdict is not DiagnosisVerdict.UNEXPLAINED:
+        return None
+    return {"description": description, "failed": failures(after)}
+
+
+def screening(candidates: Iterable[Candidate[Any]]) -> list[dict[str, Any]]:
+    """Score and evidence of every candidate."""
+    return [
+        {"name": entry.name, "channel": entry.term.channel or None, "z": entry.z, "log_odds": entry.log_odds}
+        for entry in candidates
+    ]
 
 
 def cause_head(cause: Cause[Any], channel: str) -> dict[str, Any]:

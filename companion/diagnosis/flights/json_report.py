@@ -9,7 +9,7 @@ from typing import Any
 from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.flights.scale_observability import scale_note
 from companion.diagnosis.flights.views import strengths
-from companion.diagnosis.json_rows import adequacy, cause_head, deviation, failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, deviation, failures, nats, opening, quantity, screening
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.check import DiagnosisVerdict
@@ -17,7 +17,6 @@ from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.recordings import Cause
 
 DISTANCES_M = (20.0, 60.0, 100.0)  # chosen: a landing's end, the paper's far target, and beyond
-FORMAT = 1  # version of the JSON (convention)
 _SHOWN_CHECKS = 12  # chosen: of the failed checks, the strongest: a table that is read
 
 
@@ -30,11 +29,7 @@ def as_json(
     """
     gain = _gain(diagnosis.gain, models[0])
     return {
-        "format": FORMAT,
-        "recordings": list(recordings),
-        "airframe": models[0].belief.airframe.name,
-        "verdict": str(diagnosis.verdict),
-        "reason": diagnosis.reason,
+        **opening(recordings, models[0].belief.airframe.name, diagnosis.verdict, diagnosis.reason),
         "causes": [_cause(entry, gain) for entry in diagnosis.causes],
         "nearest": diagnosis.nearest or None,
         "nearest_causes": [_cause(entry, gain) for entry in diagnosis.nearest_causes],
@@ -42,10 +37,7 @@ def as_json(
         "adequacy": adequacy(diagnosis.before, diagnosis.after),
         "residual": _residual(diagnosis),
         "views": _views(diagnosis, models[0]) if with_views else [],
-        "screening": [
-            {"name": entry.name, "channel": entry.term.channel or None, "z": entry.z, "log_odds": entry.log_odds}
-            for entry in diagnosis.screening.candidates
-        ],
+        "screening": screening(diagnosis.screening.candidates),
         "airframe_parameters": _nuisances(diagnosis, models[0]),
         "notes": [
             *(note for model in models for note in model.observations.notes),

@@ -10,7 +10,7 @@ from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticS
 from companion.diagnosis.forced.equation_rows import LAWS
 from companion.diagnosis.forced.noise_bias import MOST_NOISE
 from companion.diagnosis.forced.recordings import ForcedDiagnosis
-from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, held_out_gain, opening, quantity, residual, screening
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
@@ -25,21 +25,16 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
     unexplained = outcome.verdict is DiagnosisVerdict.UNEXPLAINED
     named = ", ".join(cause.term.name for cause in causes)
     reason = f"the law is {named}" if named else "a linear spring and damper explain these recordings"
+    if unexplained:
+        reason = f"explained so far: {named or 'nothing'}; {outcome.reason}"
     return {
-        "format": 1,
-        "recordings": [entry.name for entry in diagnosis.recordings],
-        "airframe": None,
-        "verdict": str(outcome.verdict),
-        "reason": f"explained so far: {named or 'nothing'}; {outcome.reason}" if unexplained else reason,
+        **opening((entry.name for entry in diagnosis.recordings), None, outcome.verdict, reason),
         "causes": [_cause(diagnosis, cause) for cause in causes],
         "nearest": outcome.nearest or None if unexplained else None,
         "gain": _gain(diagnosis),
         "adequacy": adequacy(outcome.before, outcome.after),
-        "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
-        "screening": [
-            {"name": entry.name, "channel": None, "z": entry.z, "log_odds": entry.log_odds}
-            for entry in outcome.screening.candidates
-        ],
+        "residual": residual(outcome.verdict, outcome.reason, outcome.after),
+        "screening": screening(outcome.screening.candidates),
         "linear": {name: _linear(diagnosis, extended) for name, extended in (("before", False), ("after", True))},
         "airframe_parameters": [],
         "notes": [

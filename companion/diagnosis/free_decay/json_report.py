@@ -51,11 +51,7 @@ def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe
     unexplained = verdict is DiagnosisVerdict.UNEXPLAINED
     recordings = diagnosis.null.state.recordings
     return {
-        "format": 1,
-        "recordings": [record.name for record in recordings],
-        "airframe": airframe,
-        "verdict": str(verdict),
-        "reason": _reason(diagnosis, named),
+        **json_rows.opening((record.name for record in recordings), airframe, verdict, _reason(diagnosis, named)),
         "causes": [_cause(diagnosis, i, scales) for i in named],
         "nearest": (name_of(diagnosis.accepted[named[0]].term, diagnosis) if named else None) if unexplained else None,
         "gain": _gain(diagnosis, diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,

@@ -8,7 +8,7 @@ from typing import Any
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
-from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, nats, opening, quantity, residual, screening
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.labels import LabelDoubt
 from companion.diagnosis.limit_cycles.recordings import CYCLE, FlutterDiagnosis
@@ -42,20 +42,13 @@ def as_json(diagnosis: FlutterDiagnosis) -> dict[str, Any]:
     causes = outcome.causes or outcome.nearest_causes
     gain = outcome.gain
     return {
-        "format": 1,
-        "recordings": [entry.name for entry in diagnosis.tracks],
-        "airframe": None,
-        "verdict": str(outcome.verdict),
-        "reason": _reason(diagnosis),
+        **opening((entry.name for entry in diagnosis.tracks), None, outcome.verdict, _reason(diagnosis)),
         "causes": [_cause(cause) for cause in causes],
         "nearest": outcome.nearest or None if unexplained else None,
         "gain": {"held_out": True, "total": nats(gain.log_score["total"])} if gain is not None else None,
         "adequacy": adequacy(outcome.before, outcome.after),
-        "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
-        "screening": [
-            {"name": entry.name, "channel": entry.term.channel, "z": entry.z, "log_odds": entry.log_odds}
-            for entry in outcome.screening.candidates
-        ],
+        "residual": residual(outcome.verdict, outcome.reason, outcome.after),
+        "screening": screening(outcome.screening.candidates),
         "linear_wing": _linear(diagnosis),
         "limit_cycles": [_cycle(diagnosis, i) for i, entry in enumerate(diagnosis.tracks) if entry.steady.any()],
         "held_out_speeds": _held_out(diagnosis),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
-from companion.diagnosis.json_rows import cause_head, checks, failures, held_out_gain, quantity
+from companion.diagnosis.json_rows import cause_head, checks, held_out_gain, opening, quantity, residual
 from companion.diagnosis.modal_tests.frequency_changes import NOTABLE_CHANGE, ORDER, ChangedMode
 from companion.diagnosis.modal_tests.recordings import ONE_RUN, ModalTestDiagnosis
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
@@ -23,19 +23,14 @@ def as_json(diagnosis: ModalTestDiagnosis, recordings: Sequence[str], airframe: 
     """The diagnosis in the layout of every other one."""
     outcome, changed = diagnosis.outcome, diagnosis.changed
     reason = _reason(diagnosis)
-    unexplained = outcome.verdict is DiagnosisVerdict.UNEXPLAINED
     not_identifiable = outcome.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE
     return {
-        "format": 1,
-        "recordings": list(recordings),
-        "airframe": airframe,
-        "verdict": str(outcome.verdict),
-        "reason": reason,
+        **opening(recordings, airframe, outcome.verdict, reason),
         "causes": [_cause(diagnosis, cause) for cause in outcome.causes],
         "nearest": outcome.nearest or None,
         "gain": _gain(diagnosis),
         "adequacy": {"before": checks(diagnosis.one_frequency), "after": checks(outcome.after)},
-        "residual": {"description": reason, "failed": failures(outcome.after)} if unexplained else None,
+        "residual": residual(outcome.verdict, reason, outcome.after),
         "confounded": [ORDER, *changed[0].confounded()] if not_identifiable and changed else [],
         "advice": _advice(diagnosis),
         "modes": [_mode(mode) for mode in diagnosis.modes],
