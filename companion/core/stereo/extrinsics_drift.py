@@ -113,33 +113,32 @@ class ExtrinsicsDriftFilter:
         """
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
-        sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
-        shift = self._shift(bend, exposures, timing_sigma_s, motion)
-        update = None
         if use_matches:
+            sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
+            shift = self._shift(bend, exposures, timing_sigma_s, motion)
             axes = LensAxes.exposed(exposures, self._filter.epipolar_from_body)
             update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow, axes)
-        self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
-        self.flow_contradicts = isinstance(update, EpipolarUpdate) and update.flow_contradicts
-        if isinstance(update, EpipolarUpdate):
-            self.joint_covariance = update.joint_covariance
-            return RelativeRotation(
-                matches.pair_id,
-                t_host_ns,
-                update.total_rad,
-                update.total_covariance,
-                update.slow_rad,
-                update.slow_covariance,
-                update.used,
-                update.parallax_scale,
-                update.lens,
-                update.flow,
-            )
+            if isinstance(update, EpipolarUpdate):
+                return self._measured(matches.pair_id, t_host_ns, update)
+        return self._predicted(matches.pair_id, t_host_ns, belief, fast)
+
+    def _measured(self, pair_id: int, t_host_ns: int, update: EpipolarUpdate) -> RelativeRotation:
+        """Rotation by the pair's matches."""
+        self.verdict, self.flow_contradicts = update.verdict, update.flow_contradicts
+        self.joint_covariance = update.joint_covariance
+        return RelativeRotation(
+            pair_id, t_host_ns, update.total_rad, update.total_covariance, update.slow_rad, update.slow_covariance,
+            update.used, update.parallax_scale, update.lens, update.flow,
+        )  # fmt: skip
+
+    def _predicted(self, pair_id: int, t_host_ns: int, belief: BendBelief, fast: FastBelief) -> RelativeRotation:
+        """Rotation without the pair's matches."""
+        self.verdict, self.flow_contradicts = MatchVerdict.AGREE, False
         mean, joint = self._filter.predict(t_host_ns, belief)
         slow, covariance = mean[:3], joint[:3, :3].copy()
         joint[:3, :3] += fast.covariance + fast.stamps
         self.joint_covariance = joint
-        return RelativeRotation(matches.pair_id, t_host_ns, slow, joint[:3, :3], slow, covariance, 0, 0.0, mean[3:])
+        return RelativeRotation(pair_id, t_host_ns, slow, joint[:3, :3], slow, covariance, 0, 0.0, mean[3:])
 
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
         """Slow error of the tracker, without the ripple of its stated sigma.

@@ -173,13 +173,15 @@ class FlowView:
     @property
     def velocity_covariance(self) -> Floats:
         """Covariance (3, 3) of the velocity over ground, epipolar axes, (m/s)^2."""
-        turned: Floats = self.epipolar_from_body @ self.between.velocity_covariance @ self.epipolar_from_body.T
-        return turned
+        return self._in_epipolar_axes(self.between.velocity_covariance)
 
     @property
     def turn_covariance(self) -> Floats:
         """Covariance (3, 3) of the left camera's turn beyond that by rates and tracker, epipolar axes, rad^2."""
-        turned: Floats = self.epipolar_from_body @ self.between.turn_covariance @ self.epipolar_from_body.T
+        return self._in_epipolar_axes(self.between.turn_covariance)
+
+    def _in_epipolar_axes(self, covariance: Floats) -> Floats:
+        turned: Floats = self.epipolar_from_body @ covariance @ self.epipolar_from_body.T
         return turned
 
     def without(self, outlier: Bools) -> FlowView:
@@ -245,16 +247,8 @@ class FlowView:
         per_motion = self._per_motion(moved, in_body, project, adjusted_pm)
         residual = residual + per_motion[:, :, :3] @ pair_turn_rad
         columns = np.concatenate([per_depth, per_motion, per_motion @ self._motion_per_stamp()], axis=2)
-
-        # axes of each feature: along its image path, where depth noise adds to the variance, and across it
-        along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
-        axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
-        rows = (axes @ columns).reshape(2 * len(residual), -1)
-        return FlowInnovation(
-            (axes @ residual[..., np.newaxis]).ravel(),
-            np.sqrt(np.stack([place_variance + depth_variance, place_variance], axis=1)).ravel(),
-            *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3, 3]), axis=1),
-        )
+        variance = np.stack([place_variance + depth_variance, place_variance], axis=1)
+        return _along_and_across(per_inverse, residual, variance, columns)
 
     def _moved(self, rotation_rad: Floats, velocity_mps: Floats, turn_rad: Floats) -> _LeftCamera:
         """The left camera's motion with half of a relative rotation, and errors of velocity and turn, epipolar axes."""
@@ -326,6 +320,18 @@ class FlowView:
         right_m = rays.right_m + baseline_m * (baseline @ self.epipolar_from_body[1:])
         turned = Rays(rays.left_m, rays.left @ half, right_m, rays.right @ half.T)
         return straightened(turned, lens, self.axes.turned(half))
+
+
+def _along_and_across(path: Floats, residual: Floats, variance: Floats, columns: Floats) -> FlowInnovation:
+    """Innovation in the axes of each feature, along its image path (m, 2), where depth noise shows, and across it.
+
+    ``residual`` (m, 2) and ``columns`` (m, 2, 22) are in image axes, ``variance`` (m, 2) is along and across the path.
+    """
+    along = path / np.linalg.norm(path, axis=1)[:, np.newaxis]
+    axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
+    rows = (axes @ columns).reshape(2 * len(residual), -1)
+    in_axes, sigma = (axes @ residual[..., np.newaxis]).ravel(), np.sqrt(variance).ravel()
+    return FlowInnovation(in_axes, sigma, *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3, 3]), axis=1))
 
 
 def _projected(directions: Floats) -> tuple[Floats, Floats]:
