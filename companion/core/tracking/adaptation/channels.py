@@ -15,8 +15,6 @@ from companion.units import GRAVITY_MPS2
 # of the rows: both vertical ones, root roll rate, bend by the load factor, both families' rates of slope (NaN: unknown)
 COLUMNS, ROLL, STATIC, SLOPE_RATES = 6, 2, 3, slice(4, 6)
 
-_MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # by definition: twice the weights of the left and right row
-
 
 class Channels:
     """Mean of both tips for the symmetric family, half their difference for the other, one tip for both."""
@@ -60,29 +58,29 @@ class Channels:
             m/s^2.
         noise_spectrum : NoiseSpectrum
         """
-        aliasing_density, step_s = self._aliasing_density(parameters, aliasing_noise), self._step_s
         bend = StaticBendResponse(parameters[0].frequency_hz, parameters[0].damping, bend_per_g_m / GRAVITY_MPS2)
+        white, aliasing_density = float(self._tips.sum() / 4.0), self._aliasing_density(parameters, aliasing_noise)
         if families == (0,):
-            load_response = _static_bend_reading(rows[:, STATIC], bend, step_s)
-            white = float(self._tips.sum() / 4.0)
-            noise_spectrum = NoiseSpectrum(
-                white, self._root, bend, 0.0, 0.5 * aliasing_density, self._drift_density(_MEAN), step_s
-            )
-            return 0.5 * (rows[:, 0] + rows[:, 1]) - load_response, noise_spectrum
-        roll_lift = self._lever_m * np.convolve(rows[:, ROLL], DERIVATIVE / step_s, mode="same")  # of the rigid roll
-        roll_lift[:EDGE], roll_lift[-EDGE:] = 0.0, 0.0
-        if families == (1,):
-            white = float(self._tips.sum() / 4.0)
-            noise_spectrum = NoiseSpectrum(
-                white, 0.0, bend, self._roll, 0.5 * aliasing_density, self._drift_density(_HALF_DIFFERENCE), step_s
-            )
-            return 0.5 * (rows[:, 1] - rows[:, 0]) - roll_lift, noise_spectrum
-        load_response = _static_bend_reading(rows[:, STATIC], bend, step_s)
-        alone = (2.0, 0.0) if tip == 0 else (0.0, 2.0)
-        noise_spectrum = NoiseSpectrum(
-            float(self._tips[tip]), self._root, bend, self._roll, aliasing_density, self._drift_density(alone), step_s
-        )
-        return rows[:, tip] - load_response - (2 * tip - 1) * roll_lift, noise_spectrum
+            signs, samples = (1.0, 1.0), 0.5 * (rows[:, 0] + rows[:, 1])
+        elif families == (1,):
+            signs, samples = (-1.0, 1.0), 0.5 * (rows[:, 1] - rows[:, 0])
+        else:
+            signs, samples = ((2.0, 0.0), (0.0, 2.0))[tip], rows[:, tip]
+            white = float(self._tips[tip])
+        aliasing_density *= 0.5 if len(families) == 1 else 1.0  # half the sum of two independent ones
+        root, roll = (self._root if 0 in families else 0.0), (self._roll if 1 in families else 0.0)
+        if 0 in families:
+            samples = samples - _static_bend_reading(rows[:, STATIC], bend, self._step_s)
+        if 1 in families:
+            samples = samples - np.sign(signs[1] - signs[0]) * self._roll_lift(rows[:, ROLL])
+        drift_density = self._drift_density(signs)
+        return samples, NoiseSpectrum(white, root, bend, roll, aliasing_density, drift_density, self._step_s)
+
+    def _roll_lift(self, roll_radps: Floats) -> Floats:
+        """Acceleration of the right tip by the rigid roll (n,), m/s^2; 0 at the ends, where it is not known."""
+        lift: Floats = self._lever_m * np.convolve(roll_radps, DERIVATIVE / self._step_s, mode="same")
+        lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
+        return lift
 
     def slope_rates(self, rows: Floats, families: tuple[int, ...]) -> SlopeRates | None:
         """Slow rates of a family's slope, without the static bend's; ``rows`` (n, 6). None without all three gyros."""
