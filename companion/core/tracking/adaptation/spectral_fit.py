@@ -94,6 +94,35 @@ class FitInput(NamedTuple):
     clipped: bool
 
 
+class _FamilyData(NamedTuple):
+    """Data of one family's fit, or of both.
+
+    Attributes
+    ----------
+    which : tuple of int
+        The families.
+    prior : LogNormalPrior
+        Of their parameters.
+    louder : callable
+        Noise spectrum with the believed noise times a ratio.
+    full, fitted : Periodogram
+        Of all samples, and below the frequencies that no mode reaches, where those count for nothing.
+    length_s : float
+        Of the samples.
+    rate, rate_sigma : float
+        Of the frequencies' change, 1/s.
+    """
+
+    which: tuple[int, ...]
+    prior: LogNormalPrior
+    louder: Callable[[float], NoiseSpectrum]
+    full: Periodogram
+    fitted: Periodogram
+    length_s: float
+    rate: float
+    rate_sigma: float
+
+
 class SpectralFit:
     """Most probable parameters of both families for a history.
 
@@ -128,6 +157,34 @@ class SpectralFit:
 
     def _fit_family(self, inputs: FitInput, which: tuple[int, ...]) -> Stages[list[ModeParameters]]:
         """Parameters of one family, or of both where only one tip is present."""
+        data, start = yield from self._data(inputs, which)
+        prior, fitted = data.prior, data.fitted
+        yield
+        best = self._begin(inputs, fitted, prior, start)
+        yield
+        if inputs.elapsed_s > _SCAN_UNTIL_S and self.fits % 2 == which[0]:
+            best = self._retried(inputs, fitted, prior, best)
+            yield
+        has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
+        if has_turn:
+            fitted, best, noise_ratio = yield from self._learned_noise(data, best, inputs.clipped)
+        else:
+            noise_ratio = inputs.parameters[which[0]].noise_ratio
+        best = _prune_insignificant_modes(fitted, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
+        by_rate = 0.5 * data.length_s * data.rate_sigma * frequency_mask(prior.places)
+        log_params = to_segment_end(best.log_params, prior.places, data.rate, data.length_s)
+        log_sigma = np.hypot(best.log_sigma, by_rate)
+        slow_hz = [inputs.parameters[k].slow_corner_hz for k in which]
+        if has_turn:
+            yield
+            slow_hz = self._slow_corners_hz(inputs, data, slow_hz, fitted, best.log_params)
+        return [
+            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow, noise_ratio)
+            for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
+        ]
+
+    def _data(self, inputs: FitInput, which: tuple[int, ...]) -> Stages[tuple[_FamilyData, Floats]]:
+        """Periodograms of a family's samples, its drift taken out, and the logarithms at which its fit begins."""
         estimates = (inputs.parameters, inputs.aliasing_noise, inputs.bend_per_g_m)
         samples, believed = self._channels.channel(inputs.rows, which, inputs.single_tip or 0, *estimates)
         noise_ratio, tips_ratio = self._noise_ratios[which[0]], self._noise_ratios[1]
@@ -148,59 +205,36 @@ class SpectralFit:
             yield
         for k in which:
             self._rates[k] = rate, rate_sigma
-        warped = time_warped(samples, rate, self._step_s)
-        full = make_periodogram(warped, self._step_s, band, noise_spectrum)
-        long = full.below(reach_hz)
-        start = to_warped_time(start, prior.places, rate, length_s)
-        yield
-        best = self._begin(inputs, long, prior, start)
-        yield
-        if inputs.elapsed_s > _SCAN_UNTIL_S and self.fits % 2 == which[0]:
-            best = self._retried(inputs, long, prior, best)
-            yield
-        has_turn = inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]  # later the families take turns
-        if has_turn:
-            long, best, noise_ratio = yield from self._learned_noise(
-                louder, which, full, long, prior, best, inputs.clipped
-            )
-        else:
-            noise_ratio = inputs.parameters[which[0]].noise_ratio
-        best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
-        by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
-        log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
-        log_sigma = np.hypot(best.log_sigma, by_rate)
-        slow_hz = [inputs.parameters[k].slow_corner_hz for k in which]
-        if has_turn:
-            yield
-            rates = self._channels.slope_rates(inputs.rows, which)
-            new_hz = [slow_corner_hz(long, prior, best.log_params, int(first), rates) for first in prior.places.first]
-            # a history that began anew is too short to exclude a slow load that the one before did not
-            begun = inputs.elapsed_s > EARLY_S > length_s
-            slow_hz = [min(old, new) if begun else new for old, new in zip(slow_hz, new_hz, strict=True)]
-        return [
-            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow, noise_ratio)
-            for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
-        ]
+        full = make_periodogram(time_warped(samples, rate, self._step_s), self._step_s, band, noise_spectrum)
+        data = _FamilyData(which, prior, louder, full, full.below(reach_hz), length_s, rate, rate_sigma)
+        return data, to_warped_time(start, prior.places, rate, length_s)
 
     def _learned_noise(
-        self,
-        louder: Callable[[float], NoiseSpectrum],
-        which: tuple[int, ...],
-        full: Periodogram,
-        fitted: Periodogram,
-        prior: LogNormalPrior,
-        best: WhittleFit,
-        clipped: bool,
+        self, data: _FamilyData, best: WhittleFit, clipped: bool
     ) -> Stages[tuple[Periodogram, WhittleFit, float]]:
         """Periodogram and fit with the noise that explains most, and the ratio of it that the filter takes."""
-        ratio = self._noise_ratios[which[0]]
+        ratio = self._noise_ratios[data.which[0]]
         leap = next_leap((self.fits + 1) // 2, ratio, clipped)
-        fitted, best, ratio = yield from fit_with_noise(louder, ratio, leap, fitted, prior, best)
-        limited = deviance_per_bin(full.with_noise(louder(ratio)), prior, best.log_params) > MOST_DEVIANCE
-        for k in which:
+        fitted, best, ratio = yield from fit_with_noise(data.louder, ratio, leap, data.fitted, data.prior, best)
+        loud = data.full.with_noise(data.louder(ratio))
+        limited = deviance_per_bin(loud, data.prior, best.log_params) > MOST_DEVIANCE
+        for k in data.which:
             self._noise_ratios[k], self._limited[k] = ratio, limited
         yield
-        return fitted, best, ratio + noise_beyond(louder, fitted, prior, best.log_params)
+        return fitted, best, ratio + noise_beyond(data.louder, fitted, data.prior, best.log_params)
+
+    def _slow_corners_hz(
+        self, inputs: FitInput, data: _FamilyData, before_hz: list[float], fitted: Periodogram, log_params: Floats
+    ) -> list[float]:
+        """Corners of the families' slow loads, not above those ``before_hz`` while a history that began anew is short.
+
+        It cannot exclude a slow load that the one before did not.
+        """
+        rates = self._channels.slope_rates(inputs.rows, data.which)
+        new_hz = [slow_corner_hz(fitted, data.prior, log_params, int(at), rates) for at in data.prior.places.first]
+        if inputs.elapsed_s > EARLY_S > data.length_s:
+            return [min(before, new) for before, new in zip(before_hz, new_hz, strict=True)]
+        return new_hz
 
     def _segments(
         self, samples: Floats, band: tuple[float, float, float], noise_spectrum: NoiseSpectrum, reach_hz: float
