@@ -15,28 +15,12 @@ from companion.records import Floats, Ints
 def kernel_model(
     layout: StateLayout, model: DiscreteWingModel, transition: Floats, transition_index: int
 ) -> DiscreteModel:
-    """Discrete model with its ``transition`` (n, n), which is stored under an index, and the rows to linearise at.
-
-    The rows give slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes
-    lifts there, lift rates as it begins and expected lift accelerations; then the change of each tip's slope and slope
-    rate with its slope factors.
-    """
-    n = layout.size
-    ahead, now = model.transition, np.eye(n, n + 1)
-    middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
-    linearisation_rows = [model.slope @ middle, model.slope @ rate, middle[layout.roll_rate : layout.roll_accel + 1]]
-    lifts = [lift_rows(layout, rank) for rank in range(layout.ranks)]
-    for lift, lift_rate in lifts:
-        rising = lift_rate @ now
-        linearisation_rows += [lift @ now + 0.5 * model.step_s * rising, rising, lift_rate @ rate]
-    for _, q, _, sign in layout.slope_factors:
-        for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
-            linearisation_rows += [-sign[side] * middle[q : q + 1], -sense_of_rotation * sign[side] * rate[q : q + 1]]
+    """Discrete model with its ``transition`` (n, n), which is stored under an index, and the rows to linearise at."""
     fraction, left_open = _rank_shares(layout, model)
     row, col = (np.ascontiguousarray(index) for index in np.nonzero(transition))
     return DiscreteModel(
         transition=transition,
-        static_input=np.ascontiguousarray(model.transition[:, n]),
+        static_input=np.ascontiguousarray(model.transition[:, layout.size]),
         row=row,
         col=col,
         value=transition[row, col],
@@ -48,13 +32,32 @@ def kernel_model(
         load_noise=np.ascontiguousarray(model.load_noise),
         load_cross_cov=np.ascontiguousarray(model.load_cross_cov.T),
         load_noise_in_rows=np.ascontiguousarray(model.load_noise_in_rows),
-        linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
+        linearisation_rows=_linearisation_rows(layout, model),
         aliasing_variance=model.aliasing_variance,
         moments_beside_gyro=model.moments_beside_gyro,
         lift_acceleration_share=fraction,
         lift_acceleration_covariance=left_open,
         motion_covariance=model.motion_covariance,
     )
+
+
+def _linearisation_rows(layout: StateLayout, model: DiscreteWingModel) -> Floats:
+    """Rows (r, n + 1) on the state before a step that give what the measurement is linearised at.
+
+    Slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes lifts there,
+    lift rates as it begins and expected lift accelerations; then the change of each tip's slope and slope rate with its
+    slope factors.
+    """
+    ahead, now = model.transition, np.eye(layout.size, layout.size + 1)
+    middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
+    rows = [model.slope @ middle, model.slope @ rate, middle[layout.roll_rate : layout.roll_accel + 1]]
+    for lift, lift_rate in (lift_rows(layout, rank) for rank in range(layout.ranks)):
+        rising = lift_rate @ now
+        rows += [lift @ now + 0.5 * model.step_s * rising, rising, lift_rate @ rate]
+    for _, q, _, sign in layout.slope_factors:
+        for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
+            rows += [-sign[side] * middle[q : q + 1], -sense_of_rotation * sign[side] * rate[q : q + 1]]
+    return np.ascontiguousarray(np.concatenate(rows))
 
 
 def _rank_shares(layout: StateLayout, model: DiscreteWingModel) -> tuple[Floats, Floats]:
@@ -103,7 +106,6 @@ def kernel_constants(
         (row + side, column) for column, _, _, _ in layout.slope_factors for side in (0, 1) for row in (Y_LEFT, P_LEFT)
     ]
     regressors = measured_regressors(layout)
-    slope_factors = [layout.slope_factor(rank).value for rank in range(layout.ranks)]
     return FilterConstants(
         step_s=model.step_s,
         trim_m=trim_m,
@@ -125,16 +127,18 @@ def kernel_constants(
         regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
         regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
         lever_m=np.array(model.lever_y_m),
-        shortening_pm=np.stack(
-            [
-                np.sign(y_m) * layout.shortening * shortening_pm(tuple(range(layout.ranks)), y_m, slope_factors)
-                for y_m in layout.tip_y_m
-            ]
-        ),
+        shortening_pm=np.stack([_shortening_pm(layout, y_m) for y_m in layout.tip_y_m]),
         shortening_column=layout.column("shortening") or 0,
         further_shortening_column=layout.column("further_shortening") or 0,
         height_column=_tip_columns(layout, "height"),
     )
+
+
+def _shortening_pm(layout: StateLayout, tip_y_m: float) -> Floats:
+    """Signed shortening of a tip by each pair of ranks."""
+    slope_factors = [layout.slope_factor(rank).value for rank in range(layout.ranks)]
+    ranks = tuple(range(layout.ranks))
+    return np.asarray(np.sign(tip_y_m) * layout.shortening * shortening_pm(ranks, tip_y_m, slope_factors))
 
 
 def _tip_columns(layout: StateLayout, error: str) -> Ints:

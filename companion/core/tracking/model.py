@@ -138,17 +138,16 @@ def build_model(
     by_load = np.zeros_like(q)
     modes = slice(0, layout.antisymmetric.span.stop)
     by_load[modes, modes] = q[modes, modes]
-    load_noise_in_rows, aliasing_variance = after @ by_load @ after.T, 0.0
-    for family in layout.families:  # the path between two samples is not in what is made of samples
-        load = q[family.v, family.v]
-        between_samples = load * noise.sample_s**2 / (12.0 * step_s**4)
-        # each tip's samples lie at instants of their own
-        load_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += between_samples * np.eye(2)
-        # an epoch's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
-        aliasing_variance += load * noise.sample_s / (3.0 * step_s**3)
+    load_noise_in_rows = after @ by_load @ after.T
+    loads = [q[family.v, family.v] for family in layout.families]
+    for load in loads:
+        # the path between two samples is not in what is made of samples, which each tip has at instants of its own
+        load_noise_in_rows[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += load * noise.sample_s**2 / (12.0 * step_s**4) * np.eye(2)
+    # an epoch's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
+    aliasing_variance = sum(load * noise.sample_s / (3.0 * step_s**3) for load in loads)
     slope_matrix = slope_rows(layout)
-    path = sum(q[family.v, family.v] * slope_matrix[1, family.q] ** 2 for family in layout.families) / 12.0
-    moments_beside_gyro = bool(path > _MOMENT_PATH_RATIO * noise.sensor_variance[P_LEFT:P_ROOT].min())
+    paths = [load * slope_matrix[1, family.q] ** 2 for load, family in zip(loads, layout.families, strict=True)]
+    moments_beside_gyro = bool(sum(paths) / 12.0 > _MOMENT_PATH_RATIO * noise.sensor_variance[P_LEFT:P_ROOT].min())
     return DiscreteWingModel(
         step_s,
         parameters,
