@@ -103,6 +103,17 @@ class ModalMotion:
         """Deflection from equilibrium, (n,)."""
         return self.q_m - self.static_m
 
+    @property
+    def spring_mps2(self) -> Floats:
+        """Modal acceleration that the linear springs oppose, (n,)."""
+        spring: Floats = self.structure.stiffness_radps2 @ self.offset_m
+        return spring
+
+    @property
+    def half_stiffness_radps2(self) -> float:
+        """Squared natural frequency of the first symmetric mode, to which laws of the halves' springs refer."""
+        return float(self.structure.stiffness_radps2[0, 0])
+
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
@@ -317,6 +328,12 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
     for effect in effects:
         view = effect.camera(side, t_s, view)
     return view
+
+
+def harmonic(cosine: float, sine: float, frequency_hz: float, t_s: Floats | float) -> Floats:
+    """``cosine cos 2 pi f t + sine sin 2 pi f t`` at each instant."""
+    phase = 2.0 * np.pi * frequency_hz * np.asarray(t_s)
+    return np.asarray(cosine * np.cos(phase) + sine * np.sin(phase))
 
 
 def on_halves(motion: ModalMotion, law: Callable[[Floats, Floats], Floats]) -> Floats:

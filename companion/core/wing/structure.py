@@ -90,20 +90,20 @@ def structure_of(wing: Wing) -> Structure:
     )
 
 
-def with_mode(
-    structure: Structure, slot: int, frequency_hz: float, zeta: float, participation: float, slope_radpm: float
+def with_symmetric_mode(
+    structure: Structure, frequency_hz: float, zeta: float, participation: float, slope_radpm: float
 ) -> Structure:
-    """Append a mode of the symmetry of ``slot`` whose tip acceleration has ``participation`` times the power.
+    """Append a symmetric mode whose tip acceleration has ``participation`` times the power of one with 1.
 
-    It takes the first free slot of that symmetry from there on. A mode without participation is left out.
+    It takes the first free slot above the first mode's. A mode without participation is left out.
     """
     if participation <= 0.0:
         return structure
+    slot = 2
     while slot in structure.slots:
         slot += 2
     omega = 2.0 * math.pi * frequency_hz
-    sign = np.array([1.0, 1.0] if slot % 2 == 0 else [-1.0, 1.0])[:, None]
-    lift = math.sqrt(participation) * sign
+    lift = np.full((2, 1), math.sqrt(participation))
     n = structure.count
 
     def grown(matrix: Floats, corner: float) -> Floats:

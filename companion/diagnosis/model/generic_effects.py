@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, harmonic, on_halves, parameter
 from companion.core.wing.structure import Structure
 from companion.diagnosis.model.generic_sensing import GenericLag, GenericLeak, GenericPhase
 from companion.diagnosis.model.generic_slip import GenericSlip
@@ -50,6 +50,8 @@ TIMES: dict[str, _Sway] = {
 
 _INSTANTS = {"1/6": -2.0 / 3.0, "1/3": -1.0 / 3.0, "1/2": 0.0, "2/3": 1.0 / 3.0, "5/6": 2.0 / 3.0}
 """Instants of a recording, and where they lie from -1 to 1 across it."""
+_SIDES = {"": False, ", left against right": True}
+"""Both sides alike, or against each other, as a law's name says it."""
 _SETTINGS = 23  # instants at which a clock that competes with names may have been set: 2.5 s apart in a minute (choice)
 
 
@@ -65,7 +67,7 @@ class GenericForce(Effect):
     def force(self, motion: ModalMotion) -> Floats:
         """Apply the law."""
         unit_m, unit_mps = float(np.std(motion.q_m[0])), float(np.std(motion.qdot_mps[0]))
-        spring = float(motion.structure.stiffness_radps2[0, 0]) * unit_m
+        spring = motion.half_stiffness_radps2 * unit_m
         law = type(self).law
         return on_halves(motion, lambda w, v: -self.strength * spring * law(w / unit_m, v / unit_mps))
 
@@ -78,8 +80,7 @@ class GenericVaryingStiffness(GenericForce):
 
     def force(self, motion: ModalMotion) -> Floats:
         """Apply the law."""
-        spring_force: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return -self.strength * type(self).sway(across(np.asarray(motion.t_s))) * spring_force
+        return -self.strength * type(self).sway(across(np.asarray(motion.t_s))) * motion.spring_mps2
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +256,9 @@ class GenericLine(Effect):
         if station is Station.ROOT:
             return values
         sung = values.copy()
-        sung[:, 2] -= self.shares[0 if station is Station.LEFT else 1] * _sine(self, t_s)
+        sung[:, 2] -= self.shares[0 if station is Station.LEFT else 1] * harmonic(
+            self.cosine_mps2, self.sine_mps2, self.frequency_hz, t_s
+        )
         return sung
 
 
@@ -274,13 +277,8 @@ class GenericForceLine(Effect):
     def force(self, motion: ModalMotion) -> Floats:
         """Load the mode, where there is one."""
         added = np.zeros_like(motion.q_m)
-        added[self.mode : self.mode + 1] = _sine(self, np.asarray(motion.t_s))
+        added[self.mode : self.mode + 1] = harmonic(self.cosine_mps2, self.sine_mps2, self.frequency_hz, motion.t_s)
         return added
-
-
-def _sine(line: GenericLine | GenericForceLine, t_s: Floats) -> Floats:
-    phase = 2.0 * np.pi * line.frequency_hz * t_s
-    return np.asarray(line.cosine_mps2 * np.cos(phase) + line.sine_mps2 * np.sin(phase))
 
 
 TOE = (
@@ -311,26 +309,34 @@ SPREAD = ("deflection", "its rate", "inverse distance", "time")
 
 def generic_effects() -> list[type[Effect]]:
     """Every law as an effect of its own."""
-    sensors = [(name, law, against) for name, law in SENSED.items() for against in (False, True)]
+    return [
+        *_force_laws(),
+        *_sensor_laws(),
+        _kind(GenericSlip, "springs that slip"),
+        *_gains_and_clocks(),
+        *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in (*TOE, *PLAY)),
+        *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
+    ]
+
+
+def _force_laws() -> list[type[Effect]]:
     return [
         *(_kind(GenericForce, f"force with {name}", law=staticmethod(law)) for name, law in LAWS.items()),
+        *(_kind(GenericVaryingStiffness, f"force with {name}", sway=staticmethod(law)) for name, law in TIMES.items()),
         *(
-            _kind(GenericVaryingStiffness, f"force with {name}", sway=staticmethod(sway))
-            for name, sway in TIMES.items()
-        ),
-        *(
-            _kind(base, f"force with {what}{', left against right' if against else ''}", against=against)
+            _kind(base, f"force with {what}{sides}", against=against)
             for base, what in ((GenericStiffness, "deflection"), (GenericDamping, "speed"))
-            for against in (False, True)
+            for sides, against in _SIDES.items()
         ),
+    ]
+
+
+def _sensor_laws() -> list[type[Effect]]:
+    return [
         *(
-            _kind(
-                GenericSensorLaw,
-                f"sensors with {name}{', left against right' if against else ''}",
-                law=staticmethod(law),
-                against=against,
-            )
-            for name, law, against in sensors
+            _kind(GenericSensorLaw, f"sensors with {name}{sides}", law=staticmethod(law), against=against)
+            for name, law in SENSED.items()
+            for sides, against in _SIDES.items()
         ),
         *(
             _kind(base, f"{side.name.lower()} side {what}", station=side)
@@ -341,11 +347,14 @@ def generic_effects() -> list[type[Effect]]:
         _kind(GenericPhase, "right side phase growing with frequency", stations=(Station.RIGHT,)),
         _kind(GenericPhase, BOTH_LATE, stations=(Station.LEFT, Station.RIGHT)),
         _kind(GenericLag, "both sides lagging"),
-        _kind(GenericSlip, "springs that slip"),
-        _kind(GenericRollOff, "gain falling with frequency"),
-        _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
-        _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),
-        _kind(GenericClockDrift, "left side ever later", station=Station.LEFT),
+    ]
+
+
+def _gains_and_clocks() -> list[type[Effect]]:
+    right_first = (Station.RIGHT, Station.LEFT)
+    return [
+        *(_kind(GenericRollOff, f"gain falling with frequency{sides}", against=by) for sides, by in _SIDES.items()),
+        *(_kind(GenericClockDrift, f"{side.name.lower()} side ever later", station=side) for side in right_first),
         *(
             _kind(
                 GenericClockStep,
@@ -353,11 +362,9 @@ def generic_effects() -> list[type[Effect]]:
                 station=side,
                 set_at=at,
             )
-            for side in (Station.RIGHT, Station.LEFT)
+            for side in right_first
             for what, at in _INSTANTS.items()
         ),
-        *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in (*TOE, *PLAY)),
-        *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]
 
 

@@ -28,7 +28,7 @@ class GenericSlip(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """Spring force that slipping takes away, half by half."""
-        stiffness = float(motion.structure.stiffness_radps2[0, 0])
+        stiffness = motion.half_stiffness_radps2
         return from_halves(motion, self.strength * stiffness * (halves(motion.offset_m) - self.remember(motion)))
 
     def remember(self, motion: ModalMotion) -> Floats:

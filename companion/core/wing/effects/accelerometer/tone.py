@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from companion.core.wing.effect import Effect, Group, ResidualPeak, parameter
+from companion.core.wing.effect import Effect, Group, ResidualPeak, harmonic, parameter
 from companion.records import Floats, Station
 
 
@@ -35,7 +33,6 @@ class Tone(Effect):
             Station.LEFT: (self.left_cosine_mps2, self.left_sine_mps2),
             Station.RIGHT: (self.right_cosine_mps2, self.right_sine_mps2),
         }[station]
-        phase = 2.0 * np.pi * self.frequency_hz * t_s
         sung = values.copy()
-        sung[:, 2] -= cosine * np.cos(phase) + sine * np.sin(phase)
+        sung[:, 2] -= harmonic(cosine, sine, self.frequency_hz, t_s)
         return sung

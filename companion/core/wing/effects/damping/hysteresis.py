@@ -35,8 +35,9 @@ class Hysteresis(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """Spring force that slipping takes away, half by half."""
-        stiffness = float(motion.structure.stiffness_radps2[0, 0])
-        return from_halves(motion, self.share * stiffness * (halves(motion.offset_m) - self._held(motion)))
+        return from_halves(
+            motion, self.share * motion.half_stiffness_radps2 * (halves(motion.offset_m) - self._held(motion))
+        )
 
     def remember(self, motion: ModalMotion) -> Floats:
         """How far each half's spring is stretched, and where that half is, (4, ...) m."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, harmonic, parameter
 from companion.records import Floats
 
 
@@ -27,7 +27,6 @@ class PeriodicForcing(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """The sine."""
-        phase = 2.0 * np.pi * self.frequency_hz * np.asarray(motion.t_s)
         added = np.zeros_like(motion.q_m)
-        added[0] = self.cosine_mps2 * np.cos(phase) + self.sine_mps2 * np.sin(phase)
+        added[0] = harmonic(self.cosine_mps2, self.sine_mps2, self.frequency_hz, motion.t_s)
         return added

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, parameter
-from companion.core.wing.structure import Structure, with_mode
+from companion.core.wing.structure import Structure, with_symmetric_mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,4 +30,6 @@ class CloseMode(Effect):
         omega = float(np.sqrt(structure.stiffness_radps2[0, 0]))
         zeta = float(structure.damping_radps[0, 0]) / (2.0 * omega)
         frequency_hz = omega * (1.0 + self.ratio) / (2.0 * np.pi)
-        return with_mode(structure, 2, frequency_hz, zeta, self.participation, float(structure.slope_radpm[1, 0]))
+        return with_symmetric_mode(
+            structure, frequency_hz, zeta, self.participation, float(structure.slope_radpm[1, 0])
+        )

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from companion.core.wing.airframe_changes import scaled, with_wing
 from companion.core.wing.effect import Effect, Group, parameter
-from companion.core.wing.structure import Structure, with_mode
+from companion.core.wing.structure import Structure, with_symmetric_mode
 from companion.params.airframe import Airframe, Mode, Uncertain
 
 _SLOPE_RATIO = 3.4  # tip slope per tip deflection, a uniform cantilever's second mode against its first (derived)
@@ -34,7 +34,7 @@ class SecondMode(Effect):
     def structure(self, structure: Structure) -> Structure:
         """Append the mode."""
         slope_radpm = _SLOPE_RATIO * float(structure.slope_radpm[1, 0])
-        return with_mode(structure, 2, self.frequency_hz, self.damping, self.participation, slope_radpm)
+        return with_symmetric_mode(structure, self.frequency_hz, self.damping, self.participation, slope_radpm)
 
     def apply_to_airframe(self, airframe: Airframe) -> Airframe | None:
         """Add it as the second symmetric mode, where there is none."""

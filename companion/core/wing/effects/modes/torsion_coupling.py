@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, parameter
-from companion.core.wing.structure import Structure, with_mode
+from companion.core.wing.structure import Structure, with_symmetric_mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class TorsionCoupling(Effect):
         """Append the mode and couple it."""
         if self.coupling <= 0.0:
             return structure
-        grown = with_mode(structure, 2, self.frequency_hz, self.damping, self.coupling, 0.0)
+        grown = with_symmetric_mode(structure, self.frequency_hz, self.damping, self.coupling, 0.0)
         stiffness = grown.stiffness_radps2.copy()
         shared = np.sqrt(self.coupling * stiffness[0, 0] * stiffness[-1, -1])
         stiffness[0, -1] += shared

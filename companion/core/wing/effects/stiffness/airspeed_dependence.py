@@ -35,6 +35,5 @@ class AirspeedDependence(Effect):
         """The parts of spring and damper that airspeed adds."""
         stiffer = (1.0 + self.frequency_per_rms * motion.covariate) ** 2 - 1.0
         damped = self.damping_per_rms * motion.covariate
-        spring: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
         damper: Floats = motion.structure.damping_radps @ motion.qdot_mps
-        return np.asarray(-stiffer * spring - damped * damper)
+        return np.asarray(-stiffer * motion.spring_mps2 - damped * damper)

@@ -28,5 +28,4 @@ class CovariateFrequency(Effect):
     def force(self, motion: ModalMotion) -> Floats:
         """The part of the spring force that the channel adds."""
         factor = (1.0 + self.ratio_per_rms * motion.covariate) ** 2 - 1.0
-        spring: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return -factor * spring
+        return -factor * motion.spring_mps2

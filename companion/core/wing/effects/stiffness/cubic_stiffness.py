@@ -25,5 +25,4 @@ class CubicStiffness(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """The added force, half by half."""
-        stiffness = float(motion.structure.stiffness_radps2[0, 0])
-        return on_halves(motion, lambda w, _v: -self.kappa_per_m2 * stiffness * w * w * w)
+        return on_halves(motion, lambda w, _v: -self.kappa_per_m2 * motion.half_stiffness_radps2 * w * w * w)

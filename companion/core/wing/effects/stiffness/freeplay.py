@@ -24,6 +24,6 @@ class Freeplay(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """The added force, half by half."""
-        stiffness = float(motion.structure.stiffness_radps2[0, 0])
+        stiffness = motion.half_stiffness_radps2
         gap = abs(self.gap_m)
         return on_halves(motion, lambda w, _v: np.sign(self.gap_m) * stiffness * np.clip(w, -gap, gap))

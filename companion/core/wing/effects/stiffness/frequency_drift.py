@@ -22,5 +22,4 @@ class FrequencyDrift(Effect):
     def force(self, motion: ModalMotion) -> Floats:
         """The part of the spring force that time adds."""
         factor = (1.0 + self.ratio_per_min * motion.t_s / 60.0) ** 2 - 1.0
-        spring: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return -factor * spring
+        return -factor * motion.spring_mps2

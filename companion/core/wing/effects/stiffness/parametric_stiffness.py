@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, harmonic, parameter
 from companion.records import Floats
 
 
@@ -26,6 +24,4 @@ class ParametricStiffness(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """The part of the spring force that swings."""
-        phase = 2.0 * np.pi * self.frequency_hz * np.asarray(motion.t_s)
-        spring: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
-        return np.asarray(-(self.cosine * np.cos(phase) + self.sine * np.sin(phase)) * spring)
+        return -harmonic(self.cosine, self.sine, self.frequency_hz, motion.t_s) * motion.spring_mps2

@@ -24,5 +24,4 @@ class QuadraticStiffness(Effect):
 
     def force(self, motion: ModalMotion) -> Floats:
         """The added force, half by half."""
-        stiffness = float(motion.structure.stiffness_radps2[0, 0])
-        return on_halves(motion, lambda w, _v: -self.kappa_per_m * stiffness * np.square(w))
+        return on_halves(motion, lambda w, _v: -self.kappa_per_m * motion.half_stiffness_radps2 * np.square(w))
