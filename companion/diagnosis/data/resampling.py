@@ -72,12 +72,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         )
     notes += _gap_notes(streams, segments)
     fine_hz = min(_rate(stream) for stream in ordered.tips.values())
-    first_hz = airframe.wing.symmetric.frequency_hz.value
-    if fine_hz < _LEAST_PER_PERIOD * first_hz:
-        raise RecordingError(
-            f"sampled at {fine_hz:.3g} Hz, too slowly for a first mode of {first_hz:.3g} Hz, which needs "
-            f"{_LEAST_PER_PERIOD * first_hz:.3g} Hz: are the stamps (t_s) in seconds?"
-        )
+    _refuse_slow_rate(fine_hz, airframe.wing.symmetric.frequency_hz.value)
     if fine_hz < 2.0 * top_hz:
         notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
     defects = {side: _faults(raw.tips[side], segments, airframe, side) for side in sorted(raw.tips)}
@@ -98,6 +93,14 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
     ]
     return in_common_units([segmented], airframe)[0]
+
+
+def _refuse_slow_rate(rate_hz: float, first_hz: float) -> None:
+    if rate_hz < _LEAST_PER_PERIOD * first_hz:
+        raise RecordingError(
+            f"sampled at {rate_hz:.3g} Hz, too slowly for a first mode of {first_hz:.3g} Hz, which needs "
+            f"{_LEAST_PER_PERIOD * first_hz:.3g} Hz: are the stamps (t_s) in seconds?"
+        )
 
 
 def in_common_units(recorded: Sequence[Sequence[Observations]], airframe: Airframe) -> list[list[Observations]]:
@@ -141,20 +144,16 @@ def _observed(
     fine_t = segment.start_s + np.arange(int((segment.stop_s - segment.start_s) * fine_hz)) / fine_hz
     rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
     sides = tuple(sorted(raw.tips))
-    tips = _tips_on_grid(raw, defects, fine_t)
-    root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
-    recoil: RecoilDelay | None = None
-    if raw.root:
-        root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
-        recoil = recoil_delay(tips, root, fine_hz, airframe)
-        tips, turning = _against_rigid(raw, tips, fine_t, fine_hz, airframe)
-    up = root[:, None] - tips
+    up, root, turning, recoil = _against_root(raw, _tips_on_grid(raw, defects, fine_t), fine_t, fine_hz, airframe)
     missing = _missing(raw, sides, fine_t)
     up = impute_missing(np.ascontiguousarray(up.T), missing).T if missing.any() else up
-    first_hz = airframe.wing.symmetric.frequency_hz.value
     load = _resample(-root / GRAVITY_MPS2 + root.mean() / GRAVITY_MPS2, keep) - root.mean() / GRAVITY_MPS2
     grid_t = segment.start_s + np.arange(keep) / rate_hz
     channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
+
+    def bending(values: Floats) -> Floats:
+        return bending_load(values, rate_hz, airframe.wing.symmetric.frequency_hz.value)
+
     return Observations(
         rate_hz,
         sides,
@@ -164,17 +163,14 @@ def _observed(
         load,
         channels,
         None,
-        {
-            name: bending_load(np.interp(grid_t, t_s, values), rate_hz, first_hz)
-            for name, (t_s, values) in raw.rigid.items()
-        },
-        None if turning is None else bending_load(_resample(turning, keep), rate_hz, first_hz),
+        {name: bending(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.rigid.items()},
+        None if turning is None else bending(_resample(turning, keep)),
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         up - up.mean(0),
         fine_hz,
         worst_defects([entry for side in sides for entry in defects[side]]),
         recorded_ratio=1.0 - float(missing.mean()),
-        bending_factor=bending_load(load, rate_hz, first_hz) if raw.root else None,
+        bending_factor=bending(load) if raw.root else None,
         recoil=recoil,
     )
 
@@ -277,6 +273,19 @@ def _tips_on_grid(raw: RawRecording, faults: Mapping[Side, Sequence[SampleDefect
     if not any(np.any(entry) for entry in clipped):
         return tips
     return _imputed(tips, [raw.tips[side] for side in sides], clipped, t_s)
+
+
+def _against_root(
+    raw: RawRecording, tips: Floats, t_s: Floats, rate_hz: float, airframe: Airframe
+) -> tuple[Floats, Floats, Floats | None, RecoilDelay | None]:
+    """Upward acceleration of the tips (m, c) against the root, its force (m,), what turning adds (m, c), the recoil."""
+    if raw.root is None:
+        root: Floats = np.full(len(t_s), -GRAVITY_MPS2)
+        return root[:, None] - tips, root, None, None
+    root = undo_lowpass(_on_grid(raw.root, t_s), rate_hz, airframe.root.lowpass_accel_hz)
+    recoil = recoil_delay(tips, root, rate_hz, airframe)
+    tips, turning = _against_rigid(raw, tips, t_s, rate_hz, airframe)
+    return root[:, None] - tips, root, turning, recoil
 
 
 def _against_rigid(

@@ -162,13 +162,8 @@ def _longest(raw: RawFreeDecay) -> tuple[RawFreeDecay, tuple[str, ...]]:
 def _coarse(
     raw: RawFreeDecay, band_hz: tuple[float, float], shared: Sequence[str], notes: tuple[str, ...]
 ) -> FreeDecay:
-    count = len(raw.t_s)
-    fine_hz = (count - 1) / float(raw.t_s[-1] - raw.t_s[0])
-    if fine_hz < 2.5 * _ABOVE[0] * band_hz[1]:
-        raise RecordingError(
-            f"{raw.name}: sampled at {fine_hz:.0f} Hz; to see impulses above a band up to {band_hz[1]:g} Hz it takes "
-            f"{2.5 * _ABOVE[0] * band_hz[1]:.0f} Hz"
-        )
+    """One recording on its grid, its channels in their own units."""
+    count, fine_hz = len(raw.t_s), _fast_enough_hz(raw, band_hz[1])
     even_t = raw.t_s[0] + np.arange(count) / fine_hz
     # the transform is periodic: beyond its ends the recording goes on as its odd reflection, which bends there
     beyond = round(_BEYOND / band_hz[1] * fine_hz)
@@ -185,11 +180,7 @@ def _coarse(
     power = beyond_noise(loud, 2.0 * float(np.sum(above**2)) / keep)
     outside = math.ceil(beyond * keep / len(up)) + _RINGS
     if keep - 2 * outside < _LEAST_STEPS:
-        needed_s = (_LEAST_STEPS + 2 * _RINGS + 2) / (2.0 * _ROOM * band_hz[1])  # two for what is rounded
-        raise RecordingError(
-            f"{raw.name}: the longest stretch without a gap is {count / fine_hz:.1f} s; for a band up to "
-            f"{band_hz[1]:g} Hz {needed_s:.1f} s are needed"
-        )
+        raise _too_short(raw.name, count / fine_hz, band_hz[1])
     inside = slice(_first(thin, power, outside, rate_hz), keep - outside)
     leakage = leakage_of(power, low_pass, edges)
     channels = {name: _by_step(np.pad(raw.channels[name], beyond, mode="edge"), edges)[inside] for name in shared}
@@ -206,6 +197,25 @@ def _coarse(
         np.ones_like(thin),
         lowest_hz=band_hz[0],
         notes=notes,
+    )
+
+
+def _fast_enough_hz(raw: RawFreeDecay, top_hz: float) -> float:
+    """Rate of a recording, or :class:`RecordingError`: too low to see impulses above the band."""
+    rate_hz = (len(raw.t_s) - 1) / float(raw.t_s[-1] - raw.t_s[0])
+    if rate_hz < 2.5 * _ABOVE[0] * top_hz:
+        raise RecordingError(
+            f"{raw.name}: sampled at {rate_hz:.0f} Hz; to see impulses above a band up to {top_hz:g} Hz it takes "
+            f"{2.5 * _ABOVE[0] * top_hz:.0f} Hz"
+        )
+    return rate_hz
+
+
+def _too_short(name: str, length_s: float, top_hz: float) -> RecordingError:
+    needed_s = (_LEAST_STEPS + 2 * _RINGS + 2) / (2.0 * _ROOM * top_hz)  # two for what is rounded
+    return RecordingError(
+        f"{name}: the longest stretch without a gap is {length_s:.1f} s; for a band up to {top_hz:g} Hz "
+        f"{needed_s:.1f} s are needed"
     )
 
 

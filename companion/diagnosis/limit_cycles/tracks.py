@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import medfilt
 
 from companion.diagnosis.channel_defects import SPIKE, is_clipped, wild_samples
 from companion.errors import RecordingError
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
@@ -25,7 +26,7 @@ _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
 _COHERENT = 0.9  # chosen: of the sum of a cross-spectrum without phases: 0.45 rad rms of phase
-Envelope = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+Envelope = npt.NDArray[np.complex128]
 STEADY = 0.06
 """Relative range of the amplitude in what counts as a limit cycle (choice)."""
 
@@ -63,7 +64,7 @@ class VibrationTrack:
     frequency_hz: Floats
     growth_radps: Floats
     amplitude: dict[str, Floats]
-    steady: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    steady: Bools
     forces: tuple[str, ...] = ()
     driven_by: tuple[str, ...] = ()
 
@@ -76,11 +77,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     RecordingError
         Fewer periods than three windows have, a response is clipped, or a stronger limit cycle lies above the band.
     """
-    for name, values in raw.responses.items():
-        if is_clipped(values):
-            raise RecordingError(
-                f"{raw.name}: {name} piles up at its largest or smallest value: it is clipped, its amplitude unknown"
-            )
+    _refuse_clipped(raw)
     rate_hz = (len(raw.t_s) - 1) / float(raw.t_s[-1] - raw.t_s[0])
     even_s = raw.t_s[0] + np.arange(len(raw.t_s)) / rate_hz
     channels = {name: _clean(np.interp(even_s, raw.t_s, values)) for name, values in raw.responses.items()}
@@ -98,17 +95,14 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     passed = np.maximum(np.sinc(offset_hz * period / rate_hz) ** 2, _LEAST_PASSED)
     levels = {name: _levels(envelope, windows) / passed for name, envelope in envelopes.items()}
     level = next(iter(levels.values()))
-    steady = _steady(level, _LEAST_CYCLES // _WINDOW)
-    loud = level > _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
-    near = np.convolve(uneven > _UNEVEN, np.ones(3))[1:-1] > 0.5  # averages reach one window further
-    keep, cycling = steady | (~near & loud), steady & loud
+    keep, cycling = _usable(level, uneven, _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz))
     middles = _WINDOW * np.flatnonzero(cycling) + _WINDOW // 2
-    driven_by = []
-    for name, values in raw.forces.items():
+
+    def drives(values: Floats) -> bool:
         force = _clean(np.interp(even_s, raw.t_s, values))
         line = _envelope(force, centre_hz / rate_hz, period)[at][middles]
-        if _in_step(line, z[middles], _NOISE_FLOOR * _beside(force, rate_hz, centre_hz)):
-            driven_by.append(name)
+        return _in_step(line, z[middles], _NOISE_FLOOR * _beside(force, rate_hz, centre_hz))
+
     return VibrationTrack(
         raw.name,
         raw.airspeed_mps,
@@ -118,8 +112,16 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
         {name: values[keep] for name, values in levels.items()},
         cycling[keep],
         tuple(raw.forces),
-        tuple(driven_by),
+        tuple(name for name, values in raw.forces.items() if drives(values)),
     )
+
+
+def _refuse_clipped(raw: RawVibration) -> None:
+    for name, values in raw.responses.items():
+        if is_clipped(values):
+            raise RecordingError(
+                f"{raw.name}: {name} piles up at its largest or smallest value: it is clipped, its amplitude unknown"
+            )
 
 
 def _leading_hz(name: str, lead: Floats, rate_hz: float, band_hz: tuple[float, float]) -> float:
@@ -149,6 +151,13 @@ def _slopes(t_s: Floats, z: Envelope) -> tuple[float, float, float, float]:
 def _levels(envelope: Envelope, windows: list[slice]) -> Floats:
     """Geometric mean of an envelope's amplitude in each window, (w,)."""
     return np.array([np.exp(np.mean(np.log(np.abs(envelope[window]) + 1e-300))) for window in windows])
+
+
+def _usable(level: Floats, uneven: Floats, floor: float) -> tuple[Bools, Bools]:
+    """Windows (w,) of a limit cycle or without a blow, above the noise, and those of a limit cycle."""
+    steady, loud = _steady(level, _LEAST_CYCLES // _WINDOW), level > floor
+    near = np.convolve(uneven > _UNEVEN, np.ones(3))[1:-1] > 0.5  # averages reach one window further
+    return steady | (~near & loud), steady & loud
 
 
 def _in_step(line: Envelope, vibration: Envelope, floor: float) -> bool:
@@ -190,7 +199,7 @@ def _envelope(values: Floats, frequency: float, period: int) -> Envelope:
     return np.asarray(2.0 * np.convolve(demodulated, np.convolve(box, box), "same"))
 
 
-def _steady(amplitude: Floats, least: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _steady(amplitude: Floats, least: int) -> Bools:
     """Windows within a run of at least ``least`` whose amplitude stays within a few per cent."""
     steady = np.zeros(len(amplitude), dtype=np.bool_)
     for first in range(len(amplitude) - least + 1):

@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.wing.effects import make_effect
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import ADDED
-from companion.params.airframe import FAMILIES, Airframe, Mode, Uncertain, Wing
+from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertain, Wing
 from companion.records import Floats, Side
 
 _INPUT_MPS2 = 10.0  # prior sigma of the modal load by a measured input at its rms (choice)
@@ -103,14 +103,7 @@ def believe(
     nuisances += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*above_first, ADDED)]
     nuisances += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
     for side in sides:
-        sensor = (airframe.left, airframe.right)[side]
-        name = side.name.lower()
-        nuisances.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
-        if 0.0 < sensor.lowpass_accel_hz < _LOW_CORNER * sensor.rate_hz:
-            nuisances.append(Nuisance(f"{name}.noise_ahead", _UNKNOWN_NOISE, True))
-        nuisances.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
-        nuisances.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
-        nuisances.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
+        nuisances += _of_tip((airframe.left, airframe.right)[side], side.name.lower())
     if has_root:
         root = airframe.root
         nuisances.append(Nuisance("root.scale", root.accel_scale_sigma))
@@ -154,6 +147,18 @@ def _of_mode(mode: Mode, name: str, with_range: bool) -> list[Nuisance]:
         slope = mode.slope_factor_radpm
         nuisances.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
     return nuisances
+
+
+def _of_tip(sensor: Sensor, name: str) -> list[Nuisance]:
+    nuisances = [Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True)]
+    if 0.0 < sensor.lowpass_accel_hz < _LOW_CORNER * sensor.rate_hz:
+        nuisances.append(Nuisance(f"{name}.noise_ahead", _UNKNOWN_NOISE, True))
+    return [
+        *nuisances,
+        Nuisance(f"{name}.scale", sensor.accel_scale_sigma),
+        Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s),
+        Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)),
+    ]
 
 
 def _of_cameras(airframe: Airframe, load_varies: bool) -> list[Nuisance]:

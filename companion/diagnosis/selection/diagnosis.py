@@ -58,22 +58,16 @@ def diagnose(
     if path.causes and (recordings.measures_nearest or all(entry.passed for entry in after)):
         progress("hold the names against laws without one", 0.0)
         objection = recordings.objection(null, before, path)
-        base = _base_of_gain(recordings, path)
-        gain = cross_validate(
-            recordings, base, path.fitted, lambda ratio: progress("measure the gain on held-out blocks", ratio)
-        )
+        gain = _gain(recordings, path, progress)
         if not objection and any(map(recordings.foretells, path.fitted.terms)) and not gain.improves:
             objection = "no extension predicts held-out blocks better"
     causes = tuple(sorted((*recordings.sample_causes(), *path.causes), key=lambda cause: -cause.log_bayes_factor))
     verdict, reason = _verdict(causes, after, objection)
-    explained = verdict is DiagnosisVerdict.EXPLAINED
-    leading = first.candidates[0].name if first.candidates else ""
-    nearest = path.causes[0].term.name if path.causes else leading
-    unexplained = verdict is DiagnosisVerdict.UNEXPLAINED
+    explained, unexplained = verdict is DiagnosisVerdict.EXPLAINED, verdict is DiagnosisVerdict.UNEXPLAINED
     return Diagnosis(
         verdict,
         causes if explained else (),
-        nearest if unexplained else "",
+        _nearest(path, first) if unexplained else "",
         causes if unexplained else (),
         reason,
         null,
@@ -84,6 +78,20 @@ def diagnose(
         gain,
         path.stages,
     )
+
+
+def _nearest(path: SelectionPath[TermT, State], first: Screening[TermT]) -> str:
+    """Name of the first cause of a path, else of the strongest candidate."""
+    if path.causes:
+        return path.causes[0].term.name
+    return first.candidates[0].name if first.candidates else ""
+
+
+def _gain(
+    recordings: Recordings[TermT, State], path: SelectionPath[TermT, State], progress: Progress
+) -> CrossValidation:
+    base, step = _base_of_gain(recordings, path), "measure the gain on held-out blocks"
+    return cross_validate(recordings, base, path.fitted, lambda ratio: progress(step, ratio))
 
 
 def _base_of_gain(recordings: Recordings[TermT, State], path: SelectionPath[TermT, State]) -> Fit[TermT, State]:
