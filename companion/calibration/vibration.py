@@ -118,30 +118,17 @@ def _run(
     read_matlab: Callable[[Path], Mapping[str, Any]],
 ) -> FrequencyResponse:
     path = folder / str(entry["file"])
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
-    signals = read_matlab(path).get(_SIGNALS)
-    if signals is None or signals.dtype.kind not in "iuf" or signals.ndim != 2:
-        raise RecordingError(f"{path}: has no table of numbers '{_SIGNALS}'")
-    force, sensors = layout["force"], layout["accelerometers"]
-    wanted = [int(force["column"]), *(int(column) for column in sensors["columns"])]
-    worst = max(wanted, key=abs)
-    if not all(0 <= column < signals.shape[1] for column in wanted):
-        raise RecordingError(f"{path}: has {signals.shape[1]} channels, the layout asks for column {worst}")
-    signals = signals.astype(np.float64)
-    holed = [column for column in wanted if not np.isfinite(signals[:, column]).all()]
-    if holed:
-        raise RecordingError(f"{path}: column {holed[0]} has samples that are no numbers: record the run once more")
+    signals, pushed, answering = _signals(path, layout, read_matlab)
     low, high = layout["band_hz"]
     if not 0.0 < float(layout["rate_hz"]) <= _FASTEST_HZ:
         raise ValueError(f"rate_hz must be above 0 and at most {_FASTEST_HZ:g}")
     if not 0.0 <= float(low) < float(high) <= 0.5 * float(layout["rate_hz"]):
         raise ValueError("band_hz must be two frequencies, the lower first, up to half of rate_hz")
-    if not np.ptp(signals[:, wanted[0]]) > 0.0:
-        raise RecordingError(f"{path}: the force, column {wanted[0]}, never changes: check force.column and its sensor")
+    if not np.ptp(signals[:, pushed]) > 0.0:
+        raise RecordingError(f"{path}: the force, column {pushed}, never changes: check force.column and its sensor")
     run = frequency_response(
-        signals[:, wanted[0]] * float(force["newton_per_volt"]),
-        signals[:, wanted[1:]] * float(sensors["mps2_per_volt"]),
+        signals[:, pushed] * float(layout["force"]["newton_per_volt"]),
+        signals[:, answering] * float(layout["accelerometers"]["mps2_per_volt"]),
         float(layout["rate_hz"]),
         (float(low), float(high)),
     )
@@ -150,6 +137,26 @@ def _run(
         raise RecordingError(f"{path}: {lines}, {_LEAST_LINES} are needed: record longer or widen the band")
     numbers = np.array([place[int(number)] for number in entry["points"]], dtype=np.int64)
     return FrequencyResponse(path.stem, numbers, run.frequency_hz, run.response)
+
+
+def _signals(
+    path: Path, layout: dict[str, Any], read_matlab: Callable[[Path], Mapping[str, Any]]
+) -> tuple[Floats, int, list[int]]:
+    """Table of a run's signals, (n, channels), with the columns of the force and of the accelerometers."""
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    table = read_matlab(path).get(_SIGNALS)
+    if table is None or table.dtype.kind not in "iuf" or table.ndim != 2:
+        raise RecordingError(f"{path}: has no table of numbers '{_SIGNALS}'")
+    wanted = [int(column) for column in (layout["force"]["column"], *layout["accelerometers"]["columns"])]
+    worst = max(wanted, key=abs)
+    if not all(0 <= column < table.shape[1] for column in wanted):
+        raise RecordingError(f"{path}: has {table.shape[1]} channels, the layout asks for column {worst}")
+    signals: Floats = table.astype(np.float64)
+    holed = [column for column in wanted if not np.isfinite(signals[:, column]).all()]
+    if holed:
+        raise RecordingError(f"{path}: column {holed[0]} has samples that are no numbers: record the run once more")
+    return signals, wanted[0], wanted[1:]
 
 
 def _layout(path: Path) -> dict[str, Any]:
