@@ -63,17 +63,7 @@ def stable_poles(
 
 
 def lscf(frequency_hz: Floats, response: Complex, order: int) -> Complex:
-    """All poles (rad/s) of one model order.
-
-    Parameters
-    ----------
-    frequency_hz : (k,) float64
-        Lines.
-    response : (outputs, k) complex128
-        As in :func:`stable_poles`.
-    order : int
-        Degree of the denominator.
-    """
+    """All poles (rad/s) of one model order, the degree of the denominator; arrays as in :func:`stable_poles`."""
     # the band is mapped onto most of the half circle, where powers of z are nearly orthogonal
     low, width = float(frequency_hz[0]), float(frequency_hz[-1] - frequency_hz[0])
     step_s = 1.0 / (2.0 * (low + 1.15 * width))
