@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.calibration.poles import Complex, stable_poles
-from companion.records import Floats
+from companion.calibration.poles import stable_poles
+from companion.records import Complexes, Floats
 
 _LAGS_S = 4.0  # of the correlations: some ten periods of a damped mode (choice)
 _WINDOW_END = 0.03  # of the correlation window at its last lag: damping it adds is taken off again (choice)
@@ -68,7 +68,7 @@ def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float])
     return modes
 
 
-def half_spectrum(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[Floats, Complex, float]:
+def half_spectrum(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> tuple[Floats, Complexes, float]:
     """Frequencies (k,), positive half spectra (channels^2, k), and the decay rate (1/s) that the window added."""
     n, lags = len(samples), min(round(_LAGS_S * rate_hz), len(samples) // 4)
     padded = np.fft.rfft(samples - samples.mean(axis=0), n=2 * n, axis=0)

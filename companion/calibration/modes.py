@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.calibration.poles import Complex, Pole, stable_poles
-from companion.records import Floats, Ints
+from companion.calibration.poles import Pole, stable_poles
+from companion.records import Complexes, Floats, Ints
 
 _LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel (choice)
 _LEAST_RUNS = 0.5  # of the runs: what fewer show is no mode of the wing (choice)
@@ -32,7 +32,7 @@ class FrequencyResponse:
     name: str
     points: Ints
     frequency_hz: Floats
-    response: Complex
+    response: Complexes
 
     def lines(self, first: int, step: int) -> FrequencyResponse:
         """Every ``step``-th line from the ``first``: halves without a common sample of noise."""
@@ -78,7 +78,7 @@ class IdentifiedMode:
     runs: int
     bandwidth_lines: float
     per_run: Floats
-    halves: Complex
+    halves: Complexes
 
     @property
     def resolved(self) -> bool:
@@ -107,7 +107,7 @@ def identify_runs(runs: list[FrequencyResponse], points: int) -> list[Identified
     return [_describe(groups[k], spacing_hz, *shapes[k]) for k in order]
 
 
-def assurance(first: Floats | Complex, second: Floats | Complex) -> float:
+def assurance(first: Floats | Complexes, second: Floats | Complexes) -> float:
     """Modal assurance criterion ``|a^H b|^2 / (a^H a b^H b)`` over the points (n,) that both have.
 
     Allemang, Brown, IMAC 1 (1982); points that are not finite are left out.
@@ -117,7 +117,7 @@ def assurance(first: Floats | Complex, second: Floats | Complex) -> float:
     return float(np.abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
 
 
-def residues(frequency_hz: Floats, response: Complex, poles: list[Pole]) -> Complex:
+def residues(frequency_hz: Floats, response: Complexes, poles: list[Pole]) -> Complexes:
     """Acceleration residues (outputs, poles) of a sum of modes, with terms for what lies below and above the band.
 
     ``H(omega) = sum_k -omega^2 [r_k / (j omega - p_k) + conj(...)] + lower + upper omega^2``; for a real mode of unit
@@ -137,7 +137,7 @@ def residues(frequency_hz: Floats, response: Complex, poles: list[Pole]) -> Comp
     norms = np.linalg.norm(stacked, axis=0)
     fitted, *_ = np.linalg.lstsq(stacked / norms, wanted, rcond=None)
     pairs = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, len(response))
-    answer: Complex = (pairs[:, 0] + 1j * pairs[:, 1]).T
+    answer: Complexes = (pairs[:, 0] + 1j * pairs[:, 1]).T
     return answer
 
 
@@ -186,7 +186,7 @@ def _middle(group: _PoleChain) -> Pole:
     return Pole(frequency, damping, 0.0)
 
 
-def _of_half(half: FrequencyResponse, poles: list[Pole]) -> Complex:
+def _of_half(half: FrequencyResponse, poles: list[Pole]) -> Complexes:
     """Residues of one half of the lines, by the poles that this half shows itself, where it shows them."""
     half_poles = stable_poles(half.frequency_hz, half.response)
     return residues(half.frequency_hz, half.response, [_nearest(half_poles, pole) for pole in poles])
@@ -197,18 +197,20 @@ def _nearest(half_poles: list[Pole], wanted: Pole) -> Pole:
     return best if abs(best.frequency_hz - wanted.frequency_hz) < 0.5 * _LINK * wanted.frequency_hz else wanted
 
 
-def _shape(runs: list[FrequencyResponse], residues_per_run: list[Complex], mode: int, points: int) -> Complex:
+def _shape(runs: list[FrequencyResponse], residues_per_run: list[Complexes], mode: int, points: int) -> Complexes:
     """Residues of one mode at all points (mean where runs overlap); NaN where no run measured."""
     total, count = np.zeros(points, dtype=np.complex128), np.zeros(points)
     for run, run_residues in zip(runs, residues_per_run, strict=True):
         total[run.points] += run_residues[:, mode]
         count[run.points] += 1
     mean = total / np.where(count > 0, count, 1.0)
-    shape: Complex = np.where(count > 0, mean, np.nan)
+    shape: Complexes = np.where(count > 0, mean, np.nan)
     return shape
 
 
-def _describe(group: _PoleChain, spacing_hz: float, all_lines: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
+def _describe(
+    group: _PoleChain, spacing_hz: float, all_lines: Complexes, even: Complexes, odd: Complexes
+) -> IdentifiedMode:
     frequencies = np.array([pole.frequency_hz for _, pole in group])
     dampings = np.array([pole.damping for _, pole in group])
     measured = np.isfinite(all_lines)

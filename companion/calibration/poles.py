@@ -12,11 +12,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
-Complex = npt.NDArray[np.complex128]
 _SAME_FREQUENCY = 0.005  # relative: a pole that stays from order to order is physical (stabilisation diagram; choice)
 _SAME_DAMPING = 0.15  # chosen: relative: damping scatters far more than frequency
 _SAME_DAMPING_FLOOR = 0.0005  # ratio: below it the relative bound means nothing
@@ -39,7 +37,7 @@ class Pole:
 
 
 def stable_poles(
-    frequency_hz: Floats, response: Complex, orders: range = range(24, 61, 2), most_damping: float = 0.15
+    frequency_hz: Floats, response: Complexes, orders: range = range(24, 61, 2), most_damping: float = 0.15
 ) -> list[Pole]:
     """Poles that come back over the orders, by frequency; each the median of its returns.
 
@@ -62,7 +60,7 @@ def stable_poles(
     return [pole for pole in poles if pole.order_fraction >= _MIN_ORDER_FRACTION]
 
 
-def lscf(frequency_hz: Floats, response: Complex, order: int) -> Complex:
+def lscf(frequency_hz: Floats, response: Complexes, order: int) -> Complexes:
     """All poles (rad/s) of one model order, the degree of the denominator; arrays as in :func:`stable_poles`."""
     # the band is mapped onto most of the half circle, where powers of z are nearly orthogonal
     low, width = float(frequency_hz[0]), float(frequency_hz[-1] - frequency_hz[0])
@@ -78,11 +76,11 @@ def lscf(frequency_hz: Floats, response: Complex, order: int) -> Complex:
     lower, *_ = np.linalg.lstsq(reduced[:order, :order], -reduced[:order, order], rcond=None)
     roots = np.roots(np.concatenate([lower, [1.0]]))
     roots = roots[np.abs(roots) > 1e-6]
-    poles: Complex = np.log(roots.astype(np.complex128)) / step_s
+    poles: Complexes = np.log(roots.astype(np.complex128)) / step_s
     return poles
 
 
-def _within(poles: Complex, low_hz: float, high_hz: float, most_damping: float) -> Floats:
+def _within(poles: Complexes, low_hz: float, high_hz: float, most_damping: float) -> Floats:
     """(n, 2) frequencies and damping ratios of the underdamped poles in the band."""
     omega = np.abs(poles)
     frequency, damping = omega / (2.0 * np.pi), -poles.real / np.maximum(omega, 1e-12)

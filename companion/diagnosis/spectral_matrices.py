@@ -6,11 +6,8 @@ A diagonal matrix may be given as (n, f).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from companion.records import Floats
-
-Complexes = npt.NDArray[np.complex128]
+from companion.records import Complexes, Floats
 
 
 def product(a: Complexes, b: Complexes) -> Complexes:

@@ -31,6 +31,7 @@ from companion.records.vocabulary import (
     Bools,
     Bytes,
     ClockName,
+    Complexes,
     Firing,
     Floats,
     Health,
@@ -74,9 +75,9 @@ Record = InputRecord | OutputRecord
 
 __all__ = [
     "AXIS_LETTERS", "OVERLOADED", "PLAN_UNKNOWN", "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback",
-    "ClockName", "ClockRestart", "ClockState", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame",
-    "FramePair", "Health", "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange",
-    "Notice", "ObstacleSectors", "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected",
+    "ClockName", "ClockRestart", "ClockState", "Complexes", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow",
+    "Frame", "FramePair", "Health", "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState",
+    "NoRange", "Notice", "ObstacleSectors", "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected",
     "RelativeRotation", "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency",
     "TriggerPlan", "Validity", "VehicleState",
 ]  # fmt: skip

@@ -11,6 +11,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
+Complexes = npt.NDArray[np.complex128]
 AXIS_LETTERS = "xyzpqr"
 """Axes of an inertial sensor: specific force along x, y, z, angular rate about them."""
 

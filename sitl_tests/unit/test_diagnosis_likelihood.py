@@ -21,10 +21,9 @@ from companion.diagnosis.model.linear_spectra import Spectra
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
-from companion.diagnosis.spectral_matrices import Complexes
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe, parse_airframe
-from companion.records import Floats, Side
+from companion.records import Complexes, Floats, Side
 from tools.trial_truths.belief import airframe_text
 
 TOP_HZ = 40.0

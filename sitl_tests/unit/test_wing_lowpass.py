@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import freqz
 
-from companion.core.wing.lowpass import Biquad, Butterworth2, Complexes
-from companion.records import Floats
+from companion.core.wing.lowpass import Biquad, Butterworth2
+from companion.records import Complexes, Floats
 
 
 def gain(biquad: Biquad, frequency_hz: Floats) -> Complexes:

@@ -31,10 +31,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
-from companion.records import Floats, Ints
+from companion.records import Complexes, Floats, Ints
 
 _GOOD_GAIN = 0.4  # chosen, |g|: of 4 at most, with which noise far above the line enters
 _MAX_LAG = 10  # chosen, samples: at 1 kHz five times as many are at hand
@@ -43,8 +42,6 @@ _RMS_OVER_MEAN = 1.2533  # derived, of a Gaussian's magnitude
 
 LOCKED_RATIO = 1.0
 """Power of a followed leader over what its stream has besides, above which the loop is in lock. Chosen: 0.1 or 10."""
-
-Complexes = npt.NDArray[np.complex128]
 
 
 PARTS = 12

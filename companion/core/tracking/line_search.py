@@ -33,9 +33,9 @@ from companion.core.tracking.line_peaks import (
     find_lines,
     hann,
 )
-from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS, Complexes
+from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
 from companion.core.tracking.spread_work import Stages
-from companion.records import Floats, Ints
+from companion.records import Complexes, Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
 _HELD_S = 3.0  # chosen: the window, and what was sent since its end

@@ -34,15 +34,13 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.core.wing.samples import SampleDefect
 from companion.core.wing.structure import Structure
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Sensor
-from companion.records import Floats, Side, Station
+from companion.records import Complexes, Floats, Side, Station
 
-Complexes = npt.NDArray[np.complex128]
 MOUNT_DAMPING = 0.02
 """Damping ratio of a camera mount that rings (half its loss factor; choice)."""
 

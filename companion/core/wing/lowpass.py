@@ -10,11 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from companion.records import Floats
-
-Complexes = npt.NDArray[np.complex128]
+from companion.records import Complexes, Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse
-from companion.records import Floats
+from companion.diagnosis.spectral_matrices import adjoint, apply, cholesky, inverse
+from companion.records import Complexes, Floats
 
 _SEED = 20250103  # convention: any fixed number
 _SWEEPS = 160  # of the Gibbs sampler, a bound on its cost

@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from companion.diagnosis.data.declipping import Smoother
-from companion.diagnosis.spectral_matrices import Complexes, apply, cholesky, inverse
-from companion.records import Bools, Floats
+from companion.diagnosis.spectral_matrices import apply, cholesky, inverse
+from companion.records import Bools, Complexes, Floats
 
 _SEED = 20261123  # convention: any fixed number
 _FAINTEST = 1e-9  # of the mean power: floor of a spectrum (numerical)

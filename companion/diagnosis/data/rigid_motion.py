@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from companion.core.wing.lowpass import Butterworth2, Complexes
+from companion.core.wing.lowpass import Butterworth2
 from companion.params.airframe import Airframe
-from companion.records import Floats, Side
+from companion.records import Complexes, Floats, Side
 
 _Channels = Mapping[str, tuple[Floats, Floats]]
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.diagnosis.data.grid import TAPER, faded_share
-from companion.diagnosis.spectral_matrices import Complexes
-from companion.records import Floats
+from companion.records import Complexes, Floats, Ints
 
 _FINER = 4  # chosen: zero padding, after which nine points interpolate
 _CACHED = 4  # sets of instants whose weights are kept (choice)
@@ -22,7 +20,7 @@ class Transforms:
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
         self.fading = _tukey(count, faded_share(count * dt_s))
-        self._cache: dict[bytes, tuple[npt.NDArray[np.int64], Floats]] = {}
+        self._cache: dict[bytes, tuple[Ints, Floats]] = {}
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
@@ -60,7 +58,7 @@ class Transforms:
         rows, weights = self._places(at_s)
         return np.asarray(np.sum(fine[rows] * weights, axis=1))
 
-    def _places(self, at_s: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
+    def _places(self, at_s: Floats) -> tuple[Ints, Floats]:
         """Points of the finer grid about each instant and their weights, (k, 9) each; the last few are kept."""
         key = at_s.tobytes()
         if key not in self._cache:

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.stats import kurtosistest
 
@@ -23,11 +22,8 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.normal_scores import normal_score, strength
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply
-from companion.records import Floats
-
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+from companion.diagnosis.spectral_matrices import adjoint, apply
+from companion.records import Bools, Complexes, Floats, Ints
 
 _SIMULATED = 400  # draws: the spread of a statistic is then known to 4 % (choice)
 _BLOCKS = 12  # of a recording, for a change of its noise (choice)
@@ -124,13 +120,13 @@ def _changing(model: FlightModel, expectation: Expectation, rng: np.random.Gener
     return tests
 
 
-def _near_modes(model: FlightModel, f_hz: Floats) -> Mask:
+def _near_modes(model: FlightModel, f_hz: Floats) -> Bools:
     wing = model.belief.airframe.wing
     first_hz = [mode.frequency_hz.value for mode in (wing.symmetric, wing.antisymmetric) if mode is not None]
     return np.asarray((f_hz > min(first_hz) / _AROUND) & (f_hz < max(first_hz) * _AROUND))
 
 
-def _swings(white: Complexes, edges: Indices) -> Floats:
+def _swings(white: Complexes, edges: Ints) -> Floats:
     """Strength of the m-th swing of the power in each band, (c, swings, bands), about 1 by chance."""
     strengths = []
     for m in range(1, _SWINGS + 1):

@@ -46,7 +46,7 @@ from companion.diagnosis.selection.normal_scores import (
     two_sided_log_tail,
 )
 from companion.diagnosis.selection.score_tests import efficient
-from companion.records import Floats
+from companion.records import Bools, Floats, Ints
 
 _BANDS = 14  # chosen: bands of a spectrum, wide beside a mode
 _INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out (choice)
@@ -124,7 +124,7 @@ def _strengths(family: _TestFamily, score: Floats, information: Floats) -> dict[
     return strengths
 
 
-def _best(family: _TestFamily, z: Floats, index: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
+def _best(family: _TestFamily, z: Floats, index: Ints) -> dict[str, float]:
     if not len(index):
         return {}
     best = int(index[np.argmax(np.abs(z[index]))])
@@ -233,7 +233,7 @@ def _spectral(models: Sequence[FlightModel]) -> _TestFamily:
     return _TestFamily(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 
-def _inside(model: FlightModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _inside(model: FlightModel, low: float, high: float) -> Bools:
     return np.asarray((model.band_hz >= low) & (model.band_hz < high))
 
 

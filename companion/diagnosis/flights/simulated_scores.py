@@ -16,7 +16,7 @@ from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.spectral_matrices import adjoint, apply
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
 DRAWS = 40
 """Simulated recordings: a standard deviation is then known to 11 % (choice)."""
@@ -65,7 +65,5 @@ def _change(lineariser: SensorLineariser, effect: Effect) -> Floats:
     return lineariser.nonlinear_part_mps2(effect)
 
 
-def _white(
-    model: FlightModel, expectation: Expectation, values: Floats
-) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+def _white(model: FlightModel, expectation: Expectation, values: Floats) -> Complexes:
     return apply(adjoint(expectation.motion.whitener), model.in_band(values))

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.diagnosis.forced.equation_rows import FINER, LAWS, EquationRows, integration, law_slopes
-from companion.diagnosis.forced.force_delay import Spectra, real_rows
+from companion.diagnosis.forced.force_delay import real_rows
 from companion.diagnosis.forced.row_noise import beside_noise_of_force, dynamic_stiffness
 from companion.diagnosis.forced.smoothed_motion import Observed, Smoothed, smoothed
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
 LINEAR = ("mass", "damping", "stiffness")
 DELAY = "delay of the force"
@@ -132,8 +132,8 @@ def _columns(
     rows: EquationRows, delay_s: float, theta: Floats, noise: _Noise, last: Sequence[Smoothed] | None
 ) -> _Columns:
     """Columns with the likeliest motion of every recording."""
-    measured: list[Spectra] = []
-    instrument: list[Spectra] = []
+    measured: list[Complexes] = []
+    instrument: list[Complexes] = []
     slopes = []
     reached: list[Smoothed] = []
     for number in range(len(rows.recordings)):
@@ -185,7 +185,7 @@ def _series(rows: EquationRows, number: int, p: Floats) -> tuple[list[Floats], l
     return of_motion, of_rest, np.stack([by_q[:, ::finer], by_v[:, ::finer]])
 
 
-def _finer(spectrum: Spectra, count: int, finer: int) -> Floats:
+def _finer(spectrum: Complexes, count: int, finer: int) -> Floats:
     return np.asarray(np.fft.irfft(spectrum, finer * count) * finer)
 
 

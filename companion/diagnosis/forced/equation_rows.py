@@ -15,10 +15,10 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
 from companion.diagnosis.forced.even_recording import EvenRecording
-from companion.diagnosis.forced.force_delay import Spectra, real_rows
+from companion.diagnosis.forced.force_delay import real_rows
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
-from companion.records import Bools, Floats
+from companion.records import Bools, Complexes, Floats
 
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
 _LEAST_BINS = 8  # chosen: bins of the band in a segment, more than the parameters of a mode
@@ -35,7 +35,7 @@ LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
     CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
 }
-FloatsOrSpectra = TypeVar("FloatsOrSpectra", Floats, Spectra)
+Numbers = TypeVar("Numbers", Floats, Complexes)
 _SIGN = list(LAWS).index(CoulombFriction.name)
 
 
@@ -59,13 +59,13 @@ class TaperedSegment:
     stop: int
     bins: Bools
 
-    def rows(self, series: Sequence[Floats]) -> Spectra:
+    def rows(self, series: Sequence[Floats]) -> Complexes:
         """Tapered transforms (s, b) of whole series (n,) in the bins."""
         count = self.stop - self.first
         taper = np.hanning(count) / np.sqrt(count)
         return np.stack([np.fft.rfft(taper * values[self.first : self.stop]) for values in series])[:, self.bins]
 
-    def turned_back(self, weights: Spectra) -> Floats:
+    def turned_back(self, weights: Complexes) -> Floats:
         """Factors (stop - first,) of the samples of a series in the real sum of ``weights``^* (b,) times its rows."""
         count = self.stop - self.first
         spectrum = np.zeros(len(self.bins), dtype=np.complex128)
@@ -84,7 +84,7 @@ class EquationRows:
     recordings: tuple[ForcedRecording, ...]
     grids: tuple[EvenRecording, ...]
     band_hz: tuple[float, float]
-    table: Spectra
+    table: Complexes
     omega: Floats
     kind: Floats
     block: Floats
@@ -100,7 +100,7 @@ class EquationRows:
         """Change of that force per second by which it came later still, real rows (2 n,)."""
         return real_rows(-1j * self.omega * self.table[0] * np.exp(1j * self.omega * delay_s))
 
-    def by_segment(self, values: FloatsOrSpectra) -> list[FloatsOrSpectra]:
+    def by_segment(self, values: Numbers) -> list[Numbers]:
         """Values (..., n) of the bins, split into those of each segment."""
         return np.split(values, np.cumsum([int(segment.bins.sum()) for segment in self.segments])[:-1], axis=-1)
 
@@ -186,25 +186,27 @@ def beyond_half_rate(rows: EquationRows, linear: Floats, laws: Floats) -> float:
     return max(ratios)
 
 
-def _motion_spectrum(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+def _motion_spectrum(
+    even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind
+) -> tuple[Complexes, Complexes]:
     """Spectrum of the deflection, and j omega, (f,)."""
     integral, jw = integration(even, band_hz, kind)
     return integral * np.fft.rfft(even.response), jw
 
 
-def integration(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Spectra, Spectra]:
+def integration(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> tuple[Complexes, Complexes]:
     """Spectrum of the deflection over that of the response, and j omega, (f,).
 
     A speed or acceleration is integrated above half of the band's lower edge.
     """
     f_hz = np.fft.rfftfreq(len(even.force), 1.0 / even.rate_hz)
-    jw: Spectra = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
+    jw: Complexes = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
     least_hz = 0.5 * band_hz[0] if kind else 0.0
     measured = (f_hz < min(4.0 * band_hz[1], 0.5 * even.rate_hz)) & (f_hz >= least_hz)
     return np.asarray(measured / np.where(measured & (kind > 0), jw, 1.0) ** kind, dtype=np.complex128), jw
 
 
-def _law_spectra(spectrum: Spectra, jw: Spectra, count: int) -> Spectra:
+def _law_spectra(spectrum: Complexes, jw: Complexes, count: int) -> Complexes:
     """Spectra of the laws at several times the rate, (laws, f)."""
     fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, FINER * count) * FINER for power in (0, 1))
     return np.stack([np.fft.rfft(law(fine_q, fine_v)) / FINER for _, law in LAWS.values()])
@@ -260,13 +262,13 @@ def _check_spread(power: Floats, omega: Floats, bin_radps: float) -> None:
         )
 
 
-def _excited(force: Spectra, inside: Bools) -> Bools:
+def _excited(force: Complexes, inside: Bools) -> Bools:
     """Bins (f,) with force: rows of nothing but the response's noise would draw all coefficients to 0."""
     power = uniform_filter1d(np.abs(force) ** 2, _SMOOTHED)
     return np.asarray(power > _EXCITED * float(power[inside].max()))
 
 
-def _above_noise(response: Spectra, inside: Bools) -> Bools:
+def _above_noise(response: Complexes, inside: Bools) -> Bools:
     """Bins (f,) in which the response stands far above its noise: harmonics have no force and tell of laws.
 
     The response is what was recorded, whose noise is alike at all frequencies, and its noise is its least in the band:

@@ -7,16 +7,14 @@ force by omega tau at all frequencies, which no mass, damper or spring does.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
-Spectra = npt.NDArray[np.complex128]
 _MOST = 8.0  # steps of a sample, that a delay is sought within (choice)
 _COARSE, _FINE = 0.5, 0.05  # steps of the search, samples (choice)
 
 
-def error_ratio(force: Spectra, columns: Spectra, omega: Floats, delay_s: float) -> float:
+def error_ratio(force: Complexes, columns: Complexes, omega: Floats, delay_s: float) -> float:
     """Error of least squares over the force, both rms; ``force`` (n,), ``columns`` (s, n), ``omega`` (n,) in rad/s."""
     advanced = force * np.exp(1j * omega * delay_s)
     values = np.linalg.lstsq(real_rows(columns).T, real_rows(advanced), rcond=None)[0]
@@ -24,7 +22,7 @@ def error_ratio(force: Spectra, columns: Spectra, omega: Floats, delay_s: float)
     return float(np.sqrt(np.mean(left**2) / np.mean(real_rows(advanced) ** 2)))
 
 
-def least_error(force: Spectra, columns: Spectra, omega: Floats, step_s: float) -> tuple[float, float]:
+def least_error(force: Complexes, columns: Complexes, omega: Floats, step_s: float) -> tuple[float, float]:
     """Delay in s of the force (n,) behind the response with the least error ratio, and that ratio."""
     best = (0.0, error_ratio(force, columns, omega, 0.0))
     for step, reach in ((_COARSE, _MOST), (_FINE, _COARSE)):
@@ -35,6 +33,6 @@ def least_error(force: Spectra, columns: Spectra, omega: Floats, step_s: float) 
     return best
 
 
-def real_rows(values: Spectra) -> Floats:
+def real_rows(values: Complexes) -> Floats:
     """Real parts of complex rows (..., n), then imaginary ones, (..., 2 n)."""
     return np.concatenate([values.real, values.imag], axis=-1)

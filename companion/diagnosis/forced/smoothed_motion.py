@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
 from companion.diagnosis.forced.equation_rows import LAWS, law_slopes
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 _STEPS = 12  # chosen, at most at one variance: two to five settle
 _SETTLED = 1e-4  # chosen: last step over the deflection, both rms: the next is its square
@@ -33,7 +32,7 @@ class Observed:
     force: Floats
     step_s: float
     response: Floats
-    at: npt.NDArray[np.int64]
+    at: Ints
     kind: int
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit, filter_all
 from companion.diagnosis.selection.check import Check
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 LIMIT = 5.5  # sigmas: one in 10^7, for the many checks of a page (choice)
 LAGS = 20  # samples, a few cycles at the rate of a free decay (choice)
@@ -28,7 +28,7 @@ class Whitened:
     """Innovations over their standard deviation (n,), and which of them lie between impulses."""
 
     values: Floats
-    quiet: Mask
+    quiet: Bools
 
 
 def whitened(fitted: FreeDecayFit) -> list[Whitened]:
@@ -60,7 +60,7 @@ def judged(white: Whitened, rng: np.random.Generator) -> dict[str, float]:
     return dict(zip(_NAMES, ((real - drawn.mean(0)) / drawn.std(0)).tolist(), strict=True))
 
 
-def autocorrelation(values: Floats, quiet: Mask) -> Floats:
+def autocorrelation(values: Floats, quiet: Bools) -> Floats:
     """At lags 1 to :data:`LAGS`, (LAGS,), of pairs of values (m,) that both lie between impulses."""
     still = np.where(quiet, values, 0.0)
     power = float(still @ still) / int(quiet.sum())
@@ -68,7 +68,7 @@ def autocorrelation(values: Floats, quiet: Mask) -> Floats:
     return np.array([float(still[lag:] @ still[:-lag]) / (power * pairs[lag - 1]) for lag in range(1, LAGS + 1)])
 
 
-def _statistics(values: Floats, quiet: Mask) -> Floats:
+def _statistics(values: Floats, quiet: Bools) -> Floats:
     still = values[quiet]
     power = np.mean(still**2)
     blocks = np.array([np.mean(block**2) for block in np.array_split(still, _BLOCKS)])

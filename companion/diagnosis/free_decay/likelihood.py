@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.diagnosis.free_decay.kalman import Filtered, Modes, run
 from companion.diagnosis.free_decay.laws import Extension
 from companion.diagnosis.free_decay.model import FreeDecayModel
 from companion.diagnosis.selection.fisher_scoring import NormalPrior, Parameter, Scores
 from companion.diagnosis.selection.fit import Fit, climb
-from companion.records import Floats
+from companion.records import Bools, Floats
 
-Mask = npt.NDArray[np.bool_]
 FreeDecayFit = Fit[Extension, FreeDecayModel]
 _STEP = 1e-4  # of a parameter's prior sigma, for differences (numerical)
 
@@ -22,7 +20,7 @@ _STEP = 1e-4  # of a parameter's prior sigma, for differences (numerical)
 class FreeDecayLikelihood:
     """Recordings under a model; ``masks`` say which samples of each recording count."""
 
-    def __init__(self, model: FreeDecayModel, masks: Sequence[Mask]) -> None:
+    def __init__(self, model: FreeDecayModel, masks: Sequence[Bools]) -> None:
         self._model, self._masks = model, masks
         self.parameters: Sequence[Parameter] = model.parameters
 
@@ -63,7 +61,7 @@ class FreeDecayLikelihood:
         return Scores(height, gradient, information, model)
 
 
-def fit_best_of(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask], rounds: int = 25) -> FreeDecayFit:
+def fit_best_of(model: FreeDecayModel, offered: Floats, masks: Sequence[Bools], rounds: int = 25) -> FreeDecayFit:
     """Climb from the most probable of some vectors (b, p); ``masks`` say which samples of each recording count."""
     likelihood = FreeDecayLikelihood(model, masks)
     return climb(likelihood, model.extensions, model.blocks(), likelihood.best_of(offered), rounds)
@@ -109,7 +107,7 @@ def _longer(values: Floats, length: int) -> Floats:
     return np.pad(values, extra, mode="mean")
 
 
-def _log_likelihood(filtered: Filtered, mask: Mask) -> Floats:
+def _log_likelihood(filtered: Filtered, mask: Bools) -> Floats:
     terms = filtered.innovation**2 / filtered.variance + np.log(filtered.variance)
     return np.asarray(-0.5 * np.sum(terms[:, mask], axis=1))
 

@@ -17,12 +17,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
-from companion.diagnosis.spectral_matrices import Complexes
 from companion.errors import RecordingError
-from companion.records import Bools, Floats
+from companion.records import Bools, Complexes, Floats, Ints
 
 _ABOVE = (4.0, 15.0)  # times the band's top: band in which impulses are seen and modes of interest are not (choice)
 _LEAST_S = 2.0  # chosen: ten periods at 5 Hz, of fewer the damping is not known
@@ -253,7 +251,7 @@ def _above(f_hz: Floats, top_hz: float, fine_hz: float) -> Floats:
     return rise((f_hz - lowest) / slope) * rise((highest - f_hz) / slope)
 
 
-def _by_step(values: Floats, edges: npt.NDArray[np.int64]) -> Floats:
+def _by_step(values: Floats, edges: Ints) -> Floats:
     """Mean of each step, (m,)."""
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
@@ -265,7 +263,7 @@ def _thinned(spectrum: Complexes, keep: int) -> Floats:
     return np.asarray(np.fft.irfft(moved[: half + 1] + np.conj(moved[half:][::-1]), keep))
 
 
-def leakage_of(power: Floats, low_pass: Floats, edges: npt.NDArray[np.int64]) -> Floats:
+def leakage_of(power: Floats, low_pass: Floats, edges: Ints) -> Floats:
     """Variance (m,) that the edge of the band makes of impulses of some variance (m,) in the steps around them."""
     middle, ratio = len(power) // 2, edges[-1] / len(power)
     kernel = np.roll(np.fft.irfft(low_pass, edges[-1]), round((middle + 0.5) * ratio)) * ratio

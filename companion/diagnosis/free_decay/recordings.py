@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from companion.diagnosis.free_decay.adequacy import checks
 from companion.diagnosis.free_decay.laws import Extension, Follows, Law, laws_for
-from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all, fit_best_of
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit, filter_all, fit_best_of
 from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
 from companion.diagnosis.free_decay.record import FreeDecay, quiet_samples
 from companion.diagnosis.selection.check import Check
@@ -31,7 +31,7 @@ from companion.diagnosis.selection.recordings import (
 )
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 from companion.params.airframe import Uncertain
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 _FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way (choice)
 _LEAKAGES = np.array([[0.0], [-1.0], [-2.0], [-3.0]])  # chosen: logarithms of factors at which leakage begins again
@@ -277,11 +277,11 @@ def _followed(fitted: FreeDecayFit) -> list[FreeDecay]:
     ]
 
 
-def _in_fold(record: FreeDecay, parity: int) -> Mask:
+def _in_fold(record: FreeDecay, parity: int) -> Bools:
     return np.asarray((record.t_s // _BLOCK_S).astype(int) % 2 == parity)
 
 
-def _clear_of_edges(record: FreeDecay) -> Mask:
+def _clear_of_edges(record: FreeDecay) -> Bools:
     within = record.t_s % _BLOCK_S
     return np.asarray((within > _GUARD_S) & (within < _BLOCK_S - _GUARD_S))
 

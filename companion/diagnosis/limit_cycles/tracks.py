@@ -10,12 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import medfilt
 
 from companion.diagnosis.channel_defects import SPIKE, is_clipped, wild_samples
 from companion.errors import RecordingError
-from companion.records import Bools, Floats
+from companion.records import Bools, Complexes, Floats
 
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
@@ -26,7 +25,6 @@ _ABOVE = 3.0  # times the band's top, up to which a stronger vibration is looked
 _CLEAR = 10.0  # chosen: times the median of a spectrum: the largest of 1000 bins of noise has 3.2
 _NOISE_FLOOR = 6.0  # times the rms beside the mode, below which an envelope counts as noise (choice)
 _COHERENT = 0.9  # chosen: of the sum of a cross-spectrum without phases: 0.45 rad rms of phase
-Envelope = npt.NDArray[np.complex128]
 STEADY = 0.06
 """Relative range of the amplitude in what counts as a limit cycle (choice)."""
 
@@ -138,7 +136,7 @@ def _leading_hz(name: str, lead: Floats, rate_hz: float, band_hz: tuple[float, f
     return centre_hz
 
 
-def _slopes(t_s: Floats, z: Envelope) -> tuple[float, float, float, float]:
+def _slopes(t_s: Floats, z: Complexes) -> tuple[float, float, float, float]:
     """Middle of a window in s, its phase's slope in Hz, its growth in rad/s, and the rms of ln z about both lines."""
     since_s = t_s - t_s.mean()
     log_a, phase = np.log(np.maximum(np.abs(z), 1e-300)), np.unwrap(np.angle(z))
@@ -148,7 +146,7 @@ def _slopes(t_s: Floats, z: Envelope) -> tuple[float, float, float, float]:
     return float(t_s.mean()), float(slope_radps / (2.0 * np.pi)), float(growth), float(np.std(residual))
 
 
-def _levels(envelope: Envelope, windows: list[slice]) -> Floats:
+def _levels(envelope: Complexes, windows: list[slice]) -> Floats:
     """Geometric mean of an envelope's amplitude in each window, (w,)."""
     return np.array([np.exp(np.mean(np.log(np.abs(envelope[window]) + 1e-300))) for window in windows])
 
@@ -160,7 +158,7 @@ def _usable(level: Floats, uneven: Floats, floor: float) -> tuple[Bools, Bools]:
     return steady | (~near & loud), steady & loud
 
 
-def _in_step(line: Envelope, vibration: Envelope, floor: float) -> bool:
+def _in_step(line: Complexes, vibration: Complexes, floor: float) -> bool:
     """Whether the envelope of a force (w,) stands above its noise, at a constant phase to that of a vibration (w,)."""
     if not len(line) or float(np.median(np.abs(line))) < max(floor, 1e-300):
         return False
@@ -193,7 +191,7 @@ def _strongest(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> 
     return float(f_hz[inside][k]), float(power[inside][k]), float(np.median(power[inside]))
 
 
-def _envelope(values: Floats, frequency: float, period: int) -> Envelope:
+def _envelope(values: Floats, frequency: float, period: int) -> Complexes:
     box = np.ones(period) / period
     demodulated = values * np.exp(-2j * np.pi * frequency * np.arange(len(values)))
     return np.asarray(2.0 * np.convolve(demodulated, np.convolve(box, box), "same"))

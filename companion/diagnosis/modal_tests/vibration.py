@@ -14,14 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from companion.errors import RecordingError
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
-Complexes = npt.NDArray[np.complex128]
 # chosen: half-width of the fit: of the peak's frequency, some widths of a lightly damped mode; and at least
 _WIDTH, _LEAST_WIDTH_HZ = 0.03, 0.3
 _REACH = 0.035  # of a mode's frequency, by which it may change from run to run (choice)

@@ -11,8 +11,7 @@ from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
 
 from companion.diagnosis.model.linear_spectra import Linear
-from companion.diagnosis.spectral_matrices import Complexes
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
 
 class Motion(Protocol):

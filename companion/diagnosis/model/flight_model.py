@@ -24,8 +24,8 @@ from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum
 from companion.diagnosis.model.motion import RecordedSpectra, SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.model.toe import ToeModel
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, quadratic_form
-from companion.records import Floats
+from companion.diagnosis.spectral_matrices import adjoint, apply, inverse, log_determinant, quadratic_form
+from companion.records import Complexes, Floats
 from companion.units import GRAVITY_MPS2
 
 _LOW = 0.15  # of the first symmetric frequency: lower edge of the band (choice)

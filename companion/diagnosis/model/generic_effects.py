@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, harmonic, on_halves, parameter
 from companion.core.wing.structure import Structure
 from companion.diagnosis.model.generic_sensing import GenericLag, GenericLeak, GenericPhase
 from companion.diagnosis.model.generic_slip import GenericSlip
-from companion.records import Floats, Station
+from companion.records import Complexes, Floats, Station
 
 _Law = Callable[[Floats, Floats], Floats]
 _Sway = Callable[[Floats], Floats]
@@ -202,7 +201,7 @@ class GenericRollOff(Effect):
 
     fall: float = parameter("", 0.2, "logarithm of what is lost at the top of the band")
 
-    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+    def response(self, station: Station, f_hz: Floats) -> Complexes | None:
         """Damp whatever the station shows."""
         if station is Station.ROOT:
             return None

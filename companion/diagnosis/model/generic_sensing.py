@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, parameter
-from companion.records import Floats, Station
+from companion.records import Complexes, Floats, Station
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +30,7 @@ class GenericPhase(Effect):
 
     slope_s: float = parameter("s", 0.005, "phase per angular frequency")
 
-    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+    def response(self, station: Station, f_hz: Floats) -> Complexes | None:
         """Delay the stations of this law."""
         return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station in type(self).stations else None
 
@@ -47,6 +46,6 @@ class GenericLag(Effect):
 
     lag_s: float = parameter("s", 0.003, "time constant")
 
-    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+    def response(self, station: Station, f_hz: Floats) -> Complexes | None:
         """Gain of one pole."""
         return None if station is Station.ROOT else np.asarray(1.0 / (1.0 + 2j * np.pi * f_hz * self.lag_s))

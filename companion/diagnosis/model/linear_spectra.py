@@ -11,9 +11,9 @@ from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import Structure, slot_name, structure_of
 from companion.diagnosis.model.generic_sensing import GenericLeak
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
+from companion.diagnosis.spectral_matrices import adjoint, full, inverse, product
 from companion.params.airframe import Airframe
-from companion.records import Floats, Side, Station
+from companion.records import Complexes, Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""

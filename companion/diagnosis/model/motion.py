@@ -15,8 +15,8 @@ from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import Linear
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, full, inverse, product
-from companion.records import Floats
+from companion.diagnosis.spectral_matrices import adjoint, apply, cholesky, full, inverse, product
+from companion.records import Complexes, Floats
 
 _PASSES = 2  # chosen: of smoothing and nonlinear correction in turn: a third moves little
 _FADED = 0.3  # least fade by which the smoothed motion is divided: its errors grow alike (choice)

@@ -19,8 +19,8 @@ from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import STATIONS
-from companion.diagnosis.spectral_matrices import Complexes, apply
-from companion.records import Floats, Side, Station
+from companion.diagnosis.spectral_matrices import apply
+from companion.records import Complexes, Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
 _USUAL_HZ = 5.0  # first mode if not given; it matters for laws with memory alone (choice)

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, product
-from companion.records import Floats
+from companion.diagnosis.spectral_matrices import adjoint, apply, product
+from companion.records import Complexes, Floats
 
 _ROOT2 = float(np.sqrt(2.0))
 

@@ -16,8 +16,8 @@ from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.expectation import Motion
 from companion.diagnosis.model.generic_effects import PLAY, GenericToe, GenericToeVariance
 from companion.diagnosis.model.toe_regressors import of_unit_rms, taken_up, toe_regressors, toe_variance_regressors
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
-from companion.records import Floats, Side
+from companion.diagnosis.spectral_matrices import adjoint, full, product
+from companion.records import Complexes, Floats, Side
 
 _FINER = 8  # grid points a sample of the correlation function (choice)
 _FOLLOWED = 3  # chosen: modes of which regressors are made: higher ones hardly turn a camera

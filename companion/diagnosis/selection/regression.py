@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 from scipy.stats import t as student_t
 
@@ -24,9 +23,8 @@ from companion.diagnosis.selection.fit import Fit, climb
 from companion.diagnosis.selection.normal_scores import normal_score, strength
 from companion.diagnosis.selection.recordings import Prediction, Progress, Recordings, no_correlation
 from companion.diagnosis.selection.score_tests import Candidate, Screening
-from companion.records import Bools, Floats
+from companion.records import Bools, Floats, Ints
 
-Indices = npt.NDArray[np.int64]
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance (choice)."""
 _SCORING_STEPS = 60  # at most: noises begin far from their values (choice)
@@ -92,7 +90,7 @@ class RegressionResponse:
     name: str
     values: Floats
     scale: Floats
-    group: Indices
+    group: Ints
     block: Floats
     order: Floats
     level: float

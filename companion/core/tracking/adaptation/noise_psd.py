@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from companion.records import Floats
-
-Complexes = npt.NDArray[np.complex128]
+from companion.records import Complexes, Floats
 
 VIBRATION_HZ = 20.0
 """Propulsion shakes sensors above it (chosen: half of a shaft's 2,400 rpm; below, a wing shakes by gusts)."""

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Complexes, Effect, Group, parameter
-from companion.records import Floats, Station
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.records import Complexes, Floats, Station
 
 
 @dataclass(frozen=True, slots=True)

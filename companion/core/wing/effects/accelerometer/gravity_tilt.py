@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Complexes, Effect, Group, parameter
-from companion.records import Floats, Station
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.records import Complexes, Floats, Station
 from companion.units import GRAVITY_MPS2
 
 _SLOWEST_RADPS = 1.5  # below, the leak is a bias (choice)

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.airframe_changes import with_wing
-from companion.core.wing.effect import Complexes, Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter
 from companion.params.airframe import Airframe
-from companion.records import Floats
+from companion.records import Complexes, Floats
 
 
 @dataclass(frozen=True, slots=True)
