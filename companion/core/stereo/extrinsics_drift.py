@@ -210,7 +210,7 @@ class ExtrinsicsDriftFilter:
 
 def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
     """Prior of the extrinsics from the airframe file: mounting and its drift, lenses, places."""
-    cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
+    cameras = airframe.camera_pair
     mounting = math.sqrt(sum(camera.rotation_sigma_rad**2 + camera.drift_sigma_rad**2 for camera in cameras))
     walk = math.sqrt(sum(2.0 * camera.drift_sigma_rad**2 / camera.drift_time_s for camera in cameras))
     return ExtrinsicsPrior(

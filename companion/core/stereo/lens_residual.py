@@ -165,8 +165,7 @@ def straightened(rays: Rays, residual: Floats, axes: LensAxes) -> Rays:
 
 def pair_variances(airframe: Airframe) -> Floats:
     """Prior variances (9,) of the pair's terms; errors of the two calibrations are independent."""
-    cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
-    difference = (np.stack([_sigmas(camera) for camera in cameras]) ** 2).sum(axis=0)
+    difference = (np.stack([_sigmas(camera) for camera in airframe.camera_pair]) ** 2).sum(axis=0)
     return np.concatenate([difference, 0.25 * difference[_MEANS]])
 
 

@@ -13,7 +13,7 @@ from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes, straighten
 from companion.core.stereo.rotation import skew
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import VehicleMotion
-from companion.params.airframe import Airframe, Camera
+from companion.params.airframe import Airframe
 from companion.records import Deflection, Floats, Side
 
 _STEP_RAD = 1e-6  # step of the difference quotient (numerical)
@@ -163,7 +163,7 @@ def _of_each_camera(
     """Variances by calibration and by stamps, independent for each camera."""
     calibration = timing = 0.0
     for side in Side:
-        camera, moving = _camera(airframe, side), exposures[side]
+        camera, moving = airframe.camera_pair[side], exposures[side]
         relative_focal = camera.focal_px.sigma / camera.focal_px.value
         calibration += camera.rotation_sigma_rad**2 * float(gradient.turn_prad[side] @ gradient.turn_prad[side])
         calibration += (relative_focal * float(gradient.focal[side])) ** 2
@@ -179,7 +179,7 @@ def _of_both_cameras(
     alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
     calibration = timing = 0.0
     for side in Side:
-        camera = _camera(airframe, side)
+        camera = airframe.camera_pair[side]
         relative_focal = camera.focal_px.sigma / camera.focal_px.value
         calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
         calibration += (0.5 * relative_focal * float(gradient.focal.sum())) ** 2
@@ -211,9 +211,3 @@ def _with(rays: Rays, side: Side, origin: Floats, direction: Floats) -> Rays:
     if side is Side.LEFT:
         return Rays(origin, direction, rays.right_m, rays.right)
     return Rays(rays.left_m, rays.left, origin, direction)
-
-
-def _camera(airframe: Airframe, side: Side) -> Camera:
-    camera = airframe.left_camera if side is Side.LEFT else airframe.right_camera
-    assert camera is not None, "a rig exists only for an airframe with two cameras"
-    return camera
