@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.diagnosis.data.grid import TAPER, faded_share
+from companion.diagnosis.recent_results import RecentResults
 from companion.records import Complexes, Floats, Ints
 
 _FINER = 4  # chosen: zero padding, after which nine points interpolate
@@ -20,7 +21,7 @@ class Transforms:
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
         self.fading = _tukey(count, faded_share(count * dt_s))
-        self._cache: dict[bytes, tuple[Ints, Floats]] = {}
+        self._recent_places: RecentResults[bytes, tuple[Ints, Floats]] = RecentResults(_CACHED)
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
@@ -55,20 +56,15 @@ class Transforms:
         moves some instants from one nearest point to the next; on a grid twice finer only, that exceeded the slope.
         """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
-        rows, weights = self._places(at_s)
+        rows, weights = self._recent_places.get(at_s.tobytes(), lambda: self._places(at_s))
         return np.asarray(np.sum(fine[rows] * weights, axis=1))
 
     def _places(self, at_s: Floats) -> tuple[Ints, Floats]:
-        """Points of the finer grid about each instant and their weights, (k, 9) each; the last few are kept."""
-        key = at_s.tobytes()
-        if key not in self._cache:
-            if len(self._cache) >= _CACHED:
-                self._cache.pop(next(iter(self._cache)))
-            place = (at_s - self.start_s) * (_FINER / self.dt_s)
-            nearest = np.rint(place).astype(np.int64)
-            rows = (nearest[:, None] + _POINTS.astype(np.int64)) % (_FINER * self.count)
-            self._cache[key] = rows, _lagrange(place - nearest)
-        return self._cache[key]
+        """Points of the finer grid about each instant and their weights, (k, 9) each."""
+        place = (at_s - self.start_s) * (_FINER / self.dt_s)
+        nearest = np.rint(place).astype(np.int64)
+        rows = (nearest[:, None] + _POINTS.astype(np.int64)) % (_FINER * self.count)
+        return rows, _lagrange(place - nearest)
 
 
 def _lagrange(u: Floats) -> Floats:

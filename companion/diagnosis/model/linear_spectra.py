@@ -11,6 +11,7 @@ from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import Structure, slot_name, structure_of
 from companion.diagnosis.model.generic_sensing import GenericLeak
+from companion.diagnosis.recent_results import RecentResults
 from companion.diagnosis.spectral_matrices import adjoint, full, inverse, product
 from companion.params.airframe import Airframe
 from companion.records import Complexes, Floats, Side, Station
@@ -52,7 +53,7 @@ class Spectra:
         self._omega: Floats = 2.0 * np.pi * f_hz
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
         self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
-        self._receptances: dict[bytes, Complexes] = {}
+        self._receptances: RecentResults[bytes, Complexes] = RecentResults(_CACHED)
         self._filtered: list[tuple[Complexes, Complexes, Complexes]] = []
         self._responses: tuple[object, Complexes] | None = None
         self._level = self._reference_levels()
@@ -127,11 +128,7 @@ class Spectra:
     def _receptance(self, structure: Structure) -> Complexes:
         """The receptance; the last few are kept, for most parameters do not change the structure."""
         key = structure.stiffness_radps2.tobytes() + structure.damping_radps.tobytes()
-        if key not in self._receptances:
-            if len(self._receptances) >= _CACHED:
-                self._receptances.pop(next(iter(self._receptances)))
-            self._receptances[key] = receptance(structure, self._omega)
-        return self._receptances[key]
+        return self._receptances.get(key, lambda: receptance(structure, self._omega))
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         believed, level = len(self._level), np.empty(structure.count)

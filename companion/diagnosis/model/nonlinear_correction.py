@@ -19,6 +19,7 @@ from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import STATIONS
+from companion.diagnosis.recent_results import RecentResults
 from companion.diagnosis.spectral_matrices import apply
 from companion.records import Complexes, Floats, Side, Station
 from companion.units import GRAVITY_MPS2
@@ -62,9 +63,9 @@ class SensorLineariser:
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(observations, self._weight)
         self._rigid = _rigid_mps2(observations)
-        self._cache: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
-        self._corrected: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
-        self._impulses: dict[tuple[Effect, int], Floats] = {}
+        self._bendings: RecentResults[tuple[Effect, ...], tuple[Floats, Floats]] = RecentResults(_CACHE_SIZE)
+        self._corrected: RecentResults[tuple[Effect, ...], tuple[Floats, Floats]] = RecentResults(_CACHE_SIZE)
+        self._impulses: RecentResults[tuple[Effect, int], Floats] = RecentResults(_CACHE_SIZE)
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -84,17 +85,13 @@ class SensorLineariser:
         sensor_effects = tuple(
             effect for effect in effects if type(effect).response is Effect.response and _acts_on_samples(effect)
         )
-        if sensor_effects not in self._corrected:
-            if len(self._corrected) >= _CACHE_SIZE:
-                self._corrected.pop(next(iter(self._corrected)))
-            self._corrected[sensor_effects] = self._undone(sensor_effects)
-        return self._corrected[sensor_effects]
+        return self._corrected.get(sensor_effects, lambda: self._undone(sensor_effects))
 
     def _undone(self, sensor_effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
         up, scale = self._up, np.ones(len(self._up))
         bending = tuple(effect for effect in sensor_effects if not _shifts_samples(effect))
         if bending:
-            change, scale = self._bent_by(bending)
+            change, scale = self._bendings.get(bending, lambda: self._bent_by(bending))
             up = up - (change - (scale[:, None] - 1.0) * (up - change))
         for effect in sensor_effects:
             if _shifts_samples(effect):
@@ -241,12 +238,7 @@ class SensorLineariser:
 
     def _short(self, wing: WingModel, effect: Effect) -> Floats:
         """Loads (n, m) that last for less than a sample and follow no motion, without what no sample can hold; kept."""
-        key = effect, wing.count
-        if key not in self._impulses:
-            if len(self._impulses) >= _CACHE_SIZE:
-                self._impulses.pop(next(iter(self._impulses)))
-            self._impulses[key] = self._cut_to_band(wing, effect)
-        return self._impulses[key]
+        return self._impulses.get((effect, wing.count), lambda: self._cut_to_band(wing, effect))
 
     def _cut_to_band(self, wing: WingModel, effect: Effect) -> Floats:
         count = len(self._observations.up_mps2)
@@ -271,13 +263,9 @@ class SensorLineariser:
         return np.asarray(rigid + self._transforms.at(np.fft.rfft(up - rigid), 2.0 * t_s - stamped))
 
     def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
-        """Sum that effects have added to the channels (c, m), and the scales they amount to (c,); the last are kept."""
-        if effects not in self._cache:
-            if len(self._cache) >= _CACHE_SIZE:
-                self._cache.pop(next(iter(self._cache)))
-            bent = [self._bent(effects, side, i) for i, side in enumerate(self._observations.sides)]
-            self._cache[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
-        return self._cache[effects]
+        """Sum that effects have added to the channels (c, m), and the scales they amount to (c,)."""
+        bent = [self._bent(effects, side, i) for i, side in enumerate(self._observations.sides)]
+        return np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
 
     def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
         """Sum that effects, in their order, have added to a station's reading, (m,), and the scale they amount to."""
