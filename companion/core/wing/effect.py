@@ -328,6 +328,13 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
     return view
 
 
+def with_vertical(values: Floats, vertical_mps2: Floats) -> Floats:
+    """Samples (m, 6) with another vertical specific force (m,)."""
+    changed = values.copy()
+    changed[:, 2] = vertical_mps2
+    return changed
+
+
 def harmonic(cosine: float, sine: float, frequency_hz: float, t_s: Floats | float) -> Floats:
     """``cosine cos 2 pi f t + sine sin 2 pi f t`` at each instant."""
     phase = 2.0 * np.pi * frequency_hz * np.asarray(t_s)

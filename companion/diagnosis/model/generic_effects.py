@@ -13,7 +13,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, harmonic, on_halves, parameter
+from companion.core.wing.effect import (
+    Effect,
+    Group,
+    ModalMotion,
+    ResidualPeak,
+    harmonic,
+    on_halves,
+    parameter,
+    with_vertical,
+)
 from companion.core.wing.structure import Structure
 from companion.diagnosis.model.generic_sensing import GenericLag, GenericLeak, GenericPhase
 from companion.diagnosis.model.generic_slip import GenericSlip
@@ -143,9 +152,8 @@ class GenericSensorLaw(Effect):
         up = values[:, 2] - np.mean(values[:, 2])
         unit = max(float(np.std(up)), 1e-12)
         sign = -1.0 if self.against and station is Station.LEFT else 1.0
-        bent = values.copy()
-        bent[:, 2] += sign * self.strength * unit * type(self).law(up / unit, across(t_s))
-        return bent
+        bend = sign * self.strength * unit * type(self).law(up / unit, across(t_s))
+        return with_vertical(values, values[:, 2] + bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,11 +262,8 @@ class GenericLine(Effect):
         """Add it to the upward axis."""
         if station is Station.ROOT:
             return values
-        sung = values.copy()
-        sung[:, 2] -= self.shares[0 if station is Station.LEFT else 1] * harmonic(
-            self.cosine_mps2, self.sine_mps2, self.frequency_hz, t_s
-        )
-        return sung
+        line = harmonic(self.cosine_mps2, self.sine_mps2, self.frequency_hz, t_s)
+        return with_vertical(values, values[:, 2] - self.shares[0 if station is Station.LEFT else 1] * line)
 
 
 @dataclass(frozen=True, slots=True)

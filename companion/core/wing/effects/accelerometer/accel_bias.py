@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.records import Complexes, Floats, Station
 
 
@@ -34,14 +34,9 @@ class AccelBias(Effect):
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Add the offset."""
         del t_s
-        moved = values.copy()
-        moved[:, 2] += self.bias(station)
-        return moved
+        return with_vertical(values, values[:, 2] + self.bias(station))
 
     def undone(self, station: Station, values: Floats) -> Floats:
         """Take the offset off."""
-        if not self.bias(station):
-            return values
-        true = values.copy()
-        true[:, 2] -= self.bias(station)
-        return true
+        bias = self.bias(station)
+        return with_vertical(values, values[:, 2] - bias) if bias else values

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.records import Floats, Station
 from companion.units import GRAVITY_MPS2
 
@@ -25,7 +25,6 @@ class AccelCubic(Effect):
         del t_s
         if station is Station.ROOT:
             return values
-        bent = values.copy()
         force = values[:, 2] + GRAVITY_MPS2
-        bent[:, 2] += self.kappa_s4pm2 * force * force * force  # a power would take ten times as long
-        return bent
+        cubic = self.kappa_s4pm2 * force * force * force  # a power would take ten times as long
+        return with_vertical(values, values[:, 2] + cubic)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.records import Floats, Station
 
 
@@ -24,6 +24,4 @@ class AccelMisalignment(Effect):
         """Mix in the lateral axis."""
         del t_s
         angle = {Station.LEFT: self.left_rad, Station.RIGHT: self.right_rad}.get(station, 0.0)
-        mixed = values.copy()
-        mixed[:, 2] += angle * values[:, 1]
-        return mixed
+        return with_vertical(values, values[:, 2] + angle * values[:, 1])

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.records import Complexes, Floats, Station
 from companion.units import GRAVITY_MPS2
 
@@ -39,7 +39,5 @@ class GravityTilt(Effect):
         if station is Station.ROOT or len(t_s) < 2:
             return values
         f_hz: Floats = np.asarray(np.fft.rfftfreq(len(t_s), float(t_s[1] - t_s[0])), dtype=np.float64)
-        moved = values.copy()
         spectrum = self.response(station, f_hz) * np.fft.rfft(values[:, 2] + GRAVITY_MPS2)
-        moved[:, 2] = np.fft.irfft(spectrum, len(t_s)) - GRAVITY_MPS2
-        return moved
+        return with_vertical(values, np.fft.irfft(spectrum, len(t_s)) - GRAVITY_MPS2)

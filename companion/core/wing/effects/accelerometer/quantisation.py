@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.core.wing.samples import CERTAIN, SampleDefect, lattice_step
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
@@ -33,9 +33,7 @@ class Quantisation(Effect):
         del t_s
         if station is Station.ROOT or self.step_mps2 <= 0.0:
             return values
-        stepped = values.copy()
-        stepped[:, 2] = np.round(values[:, 2] / self.step_mps2) * self.step_mps2
-        return stepped
+        return with_vertical(values, np.round(values[:, 2] / self.step_mps2) * self.step_mps2)
 
     @classmethod
     def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:

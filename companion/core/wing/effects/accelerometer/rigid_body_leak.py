@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.records import Floats, Station
 from companion.units import GRAVITY_MPS2
 
@@ -30,10 +30,9 @@ class RigidBodyLeak(Effect):
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Scale the root's heave, lengthen the tips' arms."""
-        leaked = values.copy()
         if station is Station.ROOT:
-            leaked[:, 2] += self.heave * (values[:, 2] + GRAVITY_MPS2)
-        elif len(t_s) > 1:
-            side = 1.0 if station is Station.RIGHT else -1.0
-            leaked[:, 2] += side * self.arm_m * np.gradient(values[:, _ROLL], t_s)
-        return leaked
+            return with_vertical(values, values[:, 2] + self.heave * (values[:, 2] + GRAVITY_MPS2))
+        if len(t_s) < 2:
+            return values
+        side = 1.0 if station is Station.RIGHT else -1.0
+        return with_vertical(values, values[:, 2] + side * self.arm_m * np.gradient(values[:, _ROLL], t_s))

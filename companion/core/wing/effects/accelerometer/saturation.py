@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, parameter, with_vertical
 from companion.core.wing.samples import SampleDefect, lattice_step
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
@@ -35,9 +35,7 @@ class Saturation(Effect):
         del t_s
         if station is Station.ROOT or self.inverse_s2pm <= 0.0:
             return values
-        cut = values.copy()
-        cut[:, 2] = np.clip(values[:, 2], -1.0 / self.inverse_s2pm, 1.0 / self.inverse_s2pm)
-        return cut
+        return with_vertical(values, np.clip(values[:, 2], -1.0 / self.inverse_s2pm, 1.0 / self.inverse_s2pm))
 
     @classmethod
     def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:

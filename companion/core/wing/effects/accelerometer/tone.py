@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from companion.core.wing.effect import Effect, Group, ResidualPeak, harmonic, parameter
+from companion.core.wing.effect import Effect, Group, ResidualPeak, harmonic, parameter, with_vertical
 from companion.records import Floats, Station
 
 
@@ -33,6 +33,4 @@ class Tone(Effect):
             Station.LEFT: (self.left_cosine_mps2, self.left_sine_mps2),
             Station.RIGHT: (self.right_cosine_mps2, self.right_sine_mps2),
         }[station]
-        sung = values.copy()
-        sung[:, 2] -= harmonic(cosine, sine, self.frequency_hz, t_s)
-        return sung
+        return with_vertical(values, values[:, 2] - harmonic(cosine, sine, self.frequency_hz, t_s))
