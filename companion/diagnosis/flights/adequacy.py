@@ -22,7 +22,6 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.normal_scores import normal_score, strength
-from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Bools, Complexes, Floats, Ints
 
 _SIMULATED = 400  # draws: the spread of a statistic is then known to 4 % (choice)
@@ -71,7 +70,7 @@ def _lines(model: FlightModel, expectation: Expectation) -> dict[str, float]:
 
 def _unsteady(model: FlightModel, expectation: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Outliers and swelling of the whitened residual in time, against as much white noise."""
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     in_time = np.fft.ifft(white, axis=1, norm="ortho")
     middle = in_time[:, in_time.shape[1] // 16 : -in_time.shape[1] // 16]  # clear of the taper
     names = [
@@ -88,7 +87,7 @@ def _changing(model: FlightModel, expectation: Expectation, rng: np.random.Gener
     The swing of the power in a band with period T/m is the sum over the band of one bin times the conjugate of the m-th
     after it. It tells one line that moved from two modes that are there all the time.
     """
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     count = white.shape[1]
     edges = np.unique(
         np.searchsorted(model.band_hz, np.geomspace(model.band_hz[0], model.band_hz[-1], _NARROW + 1)[:-1])

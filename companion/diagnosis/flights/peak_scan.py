@@ -13,7 +13,6 @@ import numpy as np
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.scores import Column, packed
-from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 _APART = 1.05  # chosen: ratio of neighbouring trial frequencies, about the width of a trial peak
@@ -34,7 +33,7 @@ def peaks(
     cubes, squares = np.zeros(len(names)), np.zeros(len(names))
     for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
         vectors = [np.array([sign, 1.0][-sides:])[:, None] * np.ones_like(model.band_hz) for sign, _ in signs]
-        whitened = [apply(adjoint(expectation.motion.whitener), vector.astype(np.complex128)) for vector in vectors]
+        whitened = [expectation.whitened(vector.astype(np.complex128)) for vector in vectors]
         for i, (white, place) in enumerate((white, place) for white in whitened for place in places):
             shape = _peak(model.band_hz, place)
             recording_columns.append(Column(power=packed((white[:, None] * white.conj()[None]) * shape)))

@@ -20,7 +20,6 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, expect, log_likelihood
-from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats by which a peak must exceed the strongest of so many trials by chance (choice)
 _APART_S = 0.15  # chosen: two kicks nearer than most of a period at 5 Hz are proposed as one
@@ -133,7 +132,7 @@ class Line:
 
 def strongest_line(model: FlightModel, expectation: Expectation) -> Line:
     """The highest peak of the whitened periodogram."""
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     count = white.shape[1]
     # the whitened spectrum on finer frequencies: the taper's own shape interpolates
     fine = np.fft.fft(np.fft.ifft(white, axis=1), _BETWEEN * count, axis=1)[:, : _BETWEEN * (count - 1) + 1]

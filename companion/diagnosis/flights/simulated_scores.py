@@ -15,7 +15,6 @@ from companion.core.wing.effect import Effect
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
-from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Complexes, Floats
 
 DRAWS = 40
@@ -66,4 +65,4 @@ def _change(lineariser: SensorLineariser, effect: Effect) -> Floats:
 
 
 def _white(model: FlightModel, expectation: Expectation, values: Floats) -> Complexes:
-    return apply(adjoint(expectation.motion.whitener), model.in_band(values))
+    return expectation.whitened(model.in_band(values))

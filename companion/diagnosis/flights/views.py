@@ -15,7 +15,6 @@ import numpy as np
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 _LAGS_S = 1.0  # chosen: five periods at 5 Hz, within which a forgotten mode shows
@@ -66,7 +65,7 @@ class Backbone:
 
 def autocorrelation(model: FlightModel, expectation: Expectation) -> Autocorrelation:
     """Autocorrelation of each accelerometer's residual; white where nothing is left."""
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
     phasors = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
     values = (np.abs(white) ** 2 @ phasors).real / np.sum(np.abs(white) ** 2, axis=1, keepdims=True)
@@ -140,7 +139,7 @@ def _statistics(model: FlightModel, expectation: Expectation) -> dict[str, float
         WORK: float(np.mean(spine.work**2)),
         FORCE: float(np.nanmean(force**2)),
     }
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     if len(white) > 1:
         segments = np.array_split(white[0] * white[1].conj(), _PARTS)
         statistics[SIDES] = max(abs(complex(np.sum(segment))) / float(np.sqrt(len(segment))) for segment in segments)

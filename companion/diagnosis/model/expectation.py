@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
 
 from companion.diagnosis.model.linear_spectra import Linear
+from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Complexes, Floats
 
 
@@ -101,6 +102,15 @@ class Expectation:
     def residual(self) -> Complexes:
         """Tapered spectrum of the data without forced motion and sensors' nonlinearity, (c, b)."""
         return self.motion.residual
+
+    @property
+    def white_residual(self) -> Complexes:
+        """The residual as white noise if the model is right, (c, b)."""
+        return self.whitened(self.residual)
+
+    def whitened(self, values: Complexes) -> Complexes:
+        """Spectra (c, b) in the units in which the model's residual is white noise."""
+        return apply(adjoint(self.motion.whitener), values)
 
     @property
     def q_m(self) -> Floats:

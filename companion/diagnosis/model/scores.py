@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.spectral_matrices import adjoint, apply, product
+from companion.diagnosis.spectral_matrices import adjoint, product
 from companion.records import Complexes, Floats
 
 _ROOT2 = float(np.sqrt(2.0))
@@ -80,7 +80,7 @@ def scores(model: ScoredRecording, expectation: Expectation, columns: Sequence[C
     """Gradient of the log likelihood and its Fisher information, (p,) and (p, p)."""
     p, weight = len(columns), model.weight
     gradient, information = np.zeros(p), np.zeros((p, p))
-    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
+    white = expectation.white_residual
     outer = packed(white[:, None] * white.conj()[None])
     chance = packed(np.broadcast_to(np.eye(len(white))[..., None], (*[len(white)] * 2, white.shape[1])))
     _add(columns, lambda entry: entry.power, weight * (outer - chance), weight, gradient, information)
@@ -152,7 +152,7 @@ def _agreement(expectation: Expectation) -> Floats:
 def _whitened(expectation: Expectation, values: Complexes | None) -> Floats | None:
     if values is None:
         return None
-    white = apply(adjoint(expectation.motion.whitener), values)
+    white = expectation.whitened(values)
     return np.concatenate([white.real.ravel(), white.imag.ravel()])
 
 
