@@ -9,6 +9,8 @@ import numpy as np
 
 from companion.records import Complexes, Floats
 
+_FAINTEST = 1e-9  # of the mean power: floor of a spectrum, where channels without noise are equal (numerical)
+
 
 def product(a: Complexes, b: Complexes) -> Complexes:
     """Matrix product (i, k, f) of (i, j, f) and (j, k, f) at every frequency."""
@@ -32,6 +34,12 @@ def apply(a: Complexes, vector: Complexes) -> Complexes:
     if a.ndim == 2:
         return np.asarray(a * vector)
     return np.asarray(np.sum(a * vector[None], axis=1))
+
+
+def above_floor(spectra: Complexes) -> Complexes:
+    """Spectral matrices (c, c, f) with so much white noise that each has an inverse."""
+    floor = _FAINTEST * float(np.mean(np.einsum("iif->if", spectra).real))
+    return np.asarray(spectra + floor * np.eye(len(spectra))[..., None])
 
 
 def adjoint(a: Complexes) -> Complexes:

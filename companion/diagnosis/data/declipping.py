@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from companion.diagnosis.spectral_matrices import adjoint, apply, cholesky, inverse
+from companion.diagnosis.spectral_matrices import above_floor, adjoint, apply, cholesky, inverse
 from companion.records import Complexes, Floats
 
 _SEED = 20250103  # convention: any fixed number
@@ -21,7 +21,6 @@ _RELEARNT, _LEARNT = 4, 0.3  # chosen: sweeps between updates of the spectra, an
 _SETTLED = 60  # sweeps; from then on the spectra are averaged (choice)
 _WHITE_RATIO, _MOST = 0.8, 0.95  # of the lowest band: white part, which is drawn sample by sample (choice)
 _BAND = 40  # chosen: bins that share one bound on the white part
-_FAINTEST = 1e-9  # of the mean power: floor of a spectrum, where channels without noise are equal (numerical)
 _WIDTH = 0.02  # of a frequency: half-width of the smoothing of spectra (choice)
 _FEWEST = 12  # chosen: bins to either side at least: a spectrum is then known to a fifth
 
@@ -60,8 +59,7 @@ class _Split:
 
     def __init__(self, spectra: Complexes, affected: list[int]) -> None:
         self.spectra = spectra
-        floor = _FAINTEST * float(np.mean(np.einsum("iif->if", spectra).real))
-        precision = inverse(spectra + floor * np.eye(len(spectra))[..., None])[affected]
+        precision = inverse(above_floor(spectra))[affected]
         largest = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
         bands = np.array_split(largest, max(len(largest) // _BAND, 1))
         self.white = _WHITE_RATIO / max(float(np.mean(band)) for band in bands)

@@ -15,11 +15,10 @@ from __future__ import annotations
 import numpy as np
 
 from companion.diagnosis.data.declipping import Smoother
-from companion.diagnosis.spectral_matrices import apply, cholesky, inverse
+from companion.diagnosis.spectral_matrices import above_floor, apply, cholesky, inverse
 from companion.records import Bools, Complexes, Floats
 
 _SEED = 20261123  # convention: any fixed number
-_FAINTEST = 1e-9  # of the mean power: floor of a spectrum (numerical)
 _ITERATIONS = 80  # of conjugate gradients, a bound on their cost
 _CLOSE = 1e-3  # residual over right-hand side, in the norm of the preconditioner, that ends it (numerical)
 _FEWEST, _MOST = 3, 10  # chosen: least and most times that S is learnt; the share of missing samples decides
@@ -40,8 +39,7 @@ def impute_missing(values: Floats, missing: Bools) -> Floats:
     for _ in range(rounds):
         spectrum = np.fft.rfft(drawn, norm="ortho")
         model = smooth(spectrum[:, None] * spectrum.conj()[None])
-        floor = _FAINTEST * float(np.mean(np.einsum("iif->if", model).real))
-        drawn = _draw(drawn, missing, model + floor * np.eye(len(model))[..., None], rng)
+        drawn = _draw(drawn, missing, above_floor(model), rng)
     return np.where(missing, drawn + mean, values)
 
 
