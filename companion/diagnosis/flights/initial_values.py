@@ -35,7 +35,7 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
     """Nuisances from which a fit without effects should start, (p,)."""
     belief = models[0].belief
     sigmas = belief.sigmas
-    free = [i for i, entry in enumerate(belief.nuisances) if not is_range_only(entry.key.partition("#")[0])]
+    free = [i for i, entry in enumerate(belief.nuisances) if not is_range_only(entry.name)]
     measured = np.concatenate([_logarithms(_power(model)) for model in models])
 
     def residual(values: Floats) -> Floats:
@@ -72,8 +72,8 @@ def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
             means = [float(power[band_of == k].mean()) for k in range(1, _PARTS + 1) if np.sum(band_of == k) > _CHUNK]
             believed = 0.5 * belief.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz ** 2
             for i, entry in enumerate(belief.nuisances):
-                is_noise = entry.key.partition("#")[0] == f"{side.name.lower()}.noise"
-                if is_noise and belief.concerns(i, model.recording) and means and believed > 0.0:
+                is_noise = entry.name == f"{side.name.lower()}.noise"
+                if is_noise and entry.concerns(model.recording) and means and believed > 0.0:
                     values[i] = 0.5 * np.log(min(means) / believed)
     return values
 

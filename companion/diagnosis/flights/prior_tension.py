@@ -19,7 +19,7 @@ _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias
 
 def prior_tension(belief: Belief, fitted: FlightFit) -> dict[str, float]:
     """Standard deviations of each airframe parameter from its prior, and of all together; levels and noise are free."""
-    keys = [entry.key.partition("#")[0] for entry in belief.nuisances]
+    keys = [entry.name for entry in belief.nuisances]
     index = [i for i, key in enumerate(keys) if key.endswith(_OF_THE_FILE)]
     if not index:
         return {}

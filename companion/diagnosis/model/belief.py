@@ -41,6 +41,16 @@ class Nuisance:
     sigma: float
     logarithmic: bool = False
 
+    @property
+    def name(self) -> str:
+        """The key without the number of its recording."""
+        return self.key.partition(_RECORDING_MARK)[0]
+
+    def concerns(self, recording: int) -> bool:
+        """Whether it belongs to a recording, or to all."""
+        _, _, owner = self.key.partition(_RECORDING_MARK)
+        return not owner or int(owner) == recording
+
 
 @dataclass(frozen=True, slots=True)
 class Belief:
@@ -58,17 +68,8 @@ class Belief:
 
     def named(self, deviations: Sequence[float] | Floats, recording: int = 0) -> dict[str, float]:
         """Deviations (p,) by key as one recording has them: its own, and those that all share."""
-        deviations_by_key = {}
-        for entry, value in zip(self.nuisances, deviations, strict=True):
-            key, _, owner = entry.key.partition(_RECORDING_MARK)
-            if not owner or int(owner) == recording:
-                deviations_by_key[key] = float(value)
-        return deviations_by_key
-
-    def concerns(self, index: int, recording: int) -> bool:
-        """Whether a nuisance belongs to a recording, or to all."""
-        _, _, owner = self.nuisances[index].key.partition(_RECORDING_MARK)
-        return not owner or int(owner) == recording
+        each = zip(self.nuisances, deviations, strict=True)
+        return {entry.name: float(value) for entry, value in each if entry.concerns(recording)}
 
     def wing(self, deviation: dict[str, float]) -> Wing:
         """The airframe's wing with these deviations."""

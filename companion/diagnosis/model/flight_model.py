@@ -17,7 +17,7 @@ from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
-from companion.diagnosis.model.belief import Belief, input_gains, is_range_only
+from companion.diagnosis.model.belief import Belief, Nuisance, input_gains, is_range_only
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation, Motion
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
@@ -176,11 +176,10 @@ class FlightModel:
         ]
         return np.stack(shifted) / step
 
-    def delay_shift(self, key: str) -> Floats | None:
+    def delay_shift(self, nuisance: Nuisance) -> Floats | None:
         """The same for a nuisance: (c, m) if it is a delay."""
-        late = [
-            -1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.observations.sides
-        ]
+        delays = [f"{side.name.lower()}.delay_s" for side in self.observations.sides]
+        late = [-1.0 if nuisance.name == delay else 0.0 for delay in delays]
         return np.outer(late, np.ones(len(self.observations.t_s))) if any(late) else None
 
     def certain_shifted(self, expectation: Expectation, shift_s: Floats) -> Complexes | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.effect import Effect
-from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.model.belief import Belief, Nuisance
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
@@ -195,8 +195,7 @@ def derivatives(
 ) -> list[list[Column]]:
     """Columns by recording for all parameters, values and sigmas (p,), or for those of ``only``."""
     belief = models[0].belief
-    keys = [entry.key for entry in belief.nuisances]
-    owners: list[tuple[Effect, int] | None] = [None] * len(keys)
+    owners: list[Nuisance | tuple[Effect, int]] = [*belief.nuisances]
     owners += [
         (term.effect, which) for term in placed(belief, values, terms) for which in range(len(term.effect.parameters()))
     ]
@@ -204,14 +203,17 @@ def derivatives(
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
         # the posterior covariance of the toe is taken as constant; the variance of its measurement is not
-        noisy = keys[i].startswith("match") if owner is None else owner[0].adds_toe_variance
+        noisy = owner.key.startswith("match") if isinstance(owner, Nuisance) else owner[0].adds_toe_variance
         for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
-            if i < len(keys) and not belief.concerns(i, model.recording):
+            if isinstance(owner, Nuisance) and not owner.concerns(model.recording):
                 recording_columns.append(Column())
                 continue
             other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
-            shift = model.time_shift(*owner) if owner is not None else model.delay_shift(keys[i])
-            warps = owner is not None and shift is not None and type(owner[0]).response is Effect.response
+            if isinstance(owner, Nuisance):
+                shift, warps = model.delay_shift(owner), False
+            else:
+                shift = model.time_shift(*owner)
+                warps = shift is not None and type(owner[0]).response is Effect.response
             recording_columns.append(column(expectation, other, step, noisy, shift, warps, model.weight > 0.0))
     return columns
 
