@@ -71,13 +71,8 @@ class FreeDecayModel:
         record = self.recordings[recording]
         columns = {entry.key: values[:, i : i + 1] for i, entry in enumerate(self.parameters)}
         swing, log_zeta = self.swing(columns, record), columns["log damping"] + np.zeros_like(record.t_s)
-        for law in self.extensions:
-            if isinstance(law, Law) and law.follows is Follows.DAMPING:
-                log_zeta = log_zeta + columns[key_of(law)] * law.basis(record)
-        damping = np.exp(log_zeta)
-        for law in self.extensions:
-            if isinstance(law, Law) and law.follows is Follows.ADDED_DAMPING:
-                damping = damping + columns[key_of(law)] * law.basis(record)
+        log_zeta = self._with_laws(Follows.DAMPING, log_zeta, columns, record)
+        damping = self._with_laws(Follows.ADDED_DAMPING, np.exp(log_zeta), columns, record)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
         loudness = np.exp(2.0 * columns[f"impulse to load #{recording}"]) * record.impulse_mps2**2
         loudness = loudness + np.exp(2.0 * columns[f"load #{recording}"])
@@ -103,11 +98,15 @@ class FreeDecayModel:
 
     def swing(self, columns: dict[str, Floats], record: FreeDecay) -> Floats:
         """The first mode's frequency over its constant part, (b, t)."""
-        swing = np.ones((len(columns["log frequency"]), len(record.t_s)))
+        constant = np.ones((len(columns["log frequency"]), len(record.t_s)))
+        return self._with_laws(Follows.FREQUENCY, constant, columns, record)
+
+    def _with_laws(self, follows: Follows, value: Floats, columns: dict[str, Floats], record: FreeDecay) -> Floats:
+        """A quantity (b, t) and what the laws that move it add."""
         for law in self.extensions:
-            if isinstance(law, Law) and law.follows is Follows.FREQUENCY:
-                swing = swing + columns[key_of(law)] * law.basis(record)
-        return swing
+            if isinstance(law, Law) and law.follows is follows:
+                value = value + columns[key_of(law)] * law.basis(record)
+        return value
 
     def _parameters(self) -> list[Parameter]:
         relative = self.frequency_hz.sigma / self.frequency_hz.value
