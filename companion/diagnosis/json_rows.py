@@ -16,7 +16,7 @@ _SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution (derived)
 
 
 def opening(recordings: Iterable[str], airframe: str | None, verdict: DiagnosisVerdict, reason: str) -> dict[str, Any]:
-    """What every diagnosis opens with."""
+    """Format, recordings and verdict, which every diagnosis opens with."""
     return {
         "format": _FORMAT,
         "recordings": list(recordings),

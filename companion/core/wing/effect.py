@@ -336,7 +336,7 @@ def with_vertical(values: Floats, vertical_mps2: Floats) -> Floats:
 
 
 def harmonic(cosine: float, sine: float, frequency_hz: float, t_s: Floats | float) -> Floats:
-    """``cosine cos 2 pi f t + sine sin 2 pi f t`` at each instant."""
+    """``cosine cos 2 pi f t + sine sin 2 pi f t`` at each instant (m,)."""
     phase = 2.0 * np.pi * frequency_hz * np.asarray(t_s)
     return np.asarray(cosine * np.cos(phase) + sine * np.sin(phase))
 

@@ -93,11 +93,11 @@ class EquationRows:
     segments: tuple[TaperedSegment, ...]
 
     def force(self, delay_s: float) -> Floats:
-        """Force advanced by a delay, real rows (2 n,)."""
+        """Force advanced by a delay, real rows (2 * n,)."""
         return real_rows(self.table[0] * np.exp(1j * self.omega * delay_s))
 
     def force_per_delay(self, delay_s: float) -> Floats:
-        """Change of that force per second by which it came later still, real rows (2 n,)."""
+        """Change of that force per second by which it came later still, real rows (2 * n,)."""
         return real_rows(-1j * self.omega * self.table[0] * np.exp(1j * self.omega * delay_s))
 
     def by_segment(self, values: Numbers) -> list[Numbers]:
