@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from companion.core.tracking.clipping import MOST_SHARE
-from companion.doctor.evidence import Evidence, Finding, FindingLevel
+from companion.doctor.evidence import Evidence, Finding
 
 _REMEDY = "damp the mount, or set a higher range in the sensor and in accel_range_mps2"
 
@@ -17,7 +17,7 @@ def check_clipping(evidence: Evidence) -> Iterator[Finding]:
             bad = clipped > MOST_SHARE * total
             text = f"{station.name.lower()}: {100 * clipped / total:.3g} % of the samples are at the sensor's limit"
             text += f", above {100 * MOST_SHARE:.0f} % no range is trusted: {_REMEDY}" if bad else f"; {_REMEDY}"
-            yield Finding("clipping", FindingLevel.FIX if bad else FindingLevel.NOTE, text)
+            yield Finding.fix("clipping", text) if bad else Finding.note("clipping", text)
     if len(evidence.autopilot_clips) > 1 and (clips := evidence.autopilot_clips[-1] - evidence.autopilot_clips[0]) > 0:
         text = f"the autopilot's accelerometers clipped {clips} times (VIBRATION), which its low-pass hides: damp them"
-        yield Finding("clipping", FindingLevel.FIX, text)
+        yield Finding.fix("clipping", text)

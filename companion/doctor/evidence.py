@@ -49,6 +49,21 @@ class Finding:
     text: str
     fixes: tuple[Fix, ...] = ()
 
+    @classmethod
+    def ok(cls, subject: str, text: str) -> Finding:
+        """Nothing to do."""
+        return cls(subject, FindingLevel.OK, text)
+
+    @classmethod
+    def note(cls, subject: str, text: str, *fixes: Fix) -> Finding:
+        """Something to know."""
+        return cls(subject, FindingLevel.NOTE, text, fixes)
+
+    @classmethod
+    def fix(cls, subject: str, text: str, *fixes: Fix) -> Finding:
+        """Something to mend."""
+        return cls(subject, FindingLevel.FIX, text, fixes)
+
 
 @dataclass(frozen=True, slots=True)
 class Beat:
@@ -149,8 +164,7 @@ class Evidence:
 
     def missing(self, subject: str, what: str) -> Finding:
         """A finding about something that was not told, or not so that it can be believed."""
+        why = "answered by the autopilot" if self.live else "logged"
         if what in self.parameters:
-            return Finding(subject, FindingLevel.UNKNOWN, f"{what}: not known, for {self.parameters[what]:g} cannot be")
-        return Finding(
-            subject, FindingLevel.UNKNOWN, f"{what}: not " + ("answered by the autopilot" if self.live else "logged")
-        )
+            why = f"known, for {self.parameters[what]:g} cannot be"
+        return Finding(subject, FindingLevel.UNKNOWN, f"{what}: not {why}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.doctor.evidence import Evidence, Finding, FindingLevel
+from companion.doctor.evidence import Evidence, Finding
 from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
 
 
@@ -13,4 +13,4 @@ def check_parameters(evidence: Evidence) -> Iterator[Finding]:
     for name in sorted(VEHICLE_PARAMETERS.keys() & evidence.parameters.keys()):
         why = implausible(name, evidence.parameters[name])
         if why is not None:
-            yield Finding("parameter", FindingLevel.FIX, f"{why}; correct it on the vehicle")
+            yield Finding.fix("parameter", f"{why}; correct it on the vehicle")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
+from companion.doctor.evidence import Evidence, Finding, Fix
 
 # convention: MAVLink's drivers in RNGFND1_TYPE and PRX1_TYPE (ArduPilot)
 _MAVLINK_RANGEFINDER, _MAVLINK_PROXIMITY = 10, 2
@@ -28,19 +28,16 @@ _PROXIMITY_USERS = frozenset(
 def check_ranging(evidence: Evidence) -> Iterator[Finding]:
     """Whether a range of ours would be used."""
     if evidence.airframe.left_camera is None or evidence.airframe.right_camera is None:
-        yield Finding(
-            "range", FindingLevel.NOTE, f"airframe '{evidence.airframe.name}' has no camera pair: no ranges go out"
-        )
+        yield Finding.note("range", f"airframe '{evidence.airframe.name}' has no camera pair: no ranges go out")
         return
     if evidence.px4:
-        yield Finding("range", FindingLevel.NOTE, "PX4 takes DISTANCE_SENSOR as it comes; RNGFND1_* are ArduPilot's")
+        yield Finding.note("range", "PX4 takes DISTANCE_SENSOR as it comes; RNGFND1_* are ArduPilot's")
         text = "EKF2_RNG_CTRL is 0: PX4 records our ranges, and its height does not use them"
         yield from _switched_off(evidence, "EKF2_RNG_CTRL", text)
     else:
         yield from _rangefinder(evidence)
-        yield from _switched_off(
-            evidence, "RNGFND_LANDING", "RNGFND_LANDING is 0: ArduPlane records our ranges, and they steer no landing"
-        )
+        text = "RNGFND_LANDING is 0: ArduPlane records our ranges, and they steer no landing"
+        yield from _switched_off(evidence, "RNGFND_LANDING", text)
         yield from _proximity(evidence)
     yield from _other_senders(evidence)
 
@@ -52,20 +49,16 @@ def _rangefinder(evidence: Evidence) -> Iterator[Finding]:
         return
     if kind[1] != _MAVLINK_RANGEFINDER:
         text = f"RNGFND1_TYPE is {kind[1]:g}, not {_MAVLINK_RANGEFINDER} (MAVLink): our ranges are not used"
-        yield Finding("range", FindingLevel.FIX, text, (Fix("RNGFND1_TYPE", _MAVLINK_RANGEFINDER, reboot=True),))
+        yield Finding.fix("range", text, Fix("RNGFND1_TYPE", _MAVLINK_RANGEFINDER, reboot=True))
     else:
-        yield Finding("range", FindingLevel.OK, "RNGFND1_TYPE is 10 (MAVLink)")
+        yield Finding.ok("range", "RNGFND1_TYPE is 10 (MAVLink)")
     wanted = evidence.airframe.orientation
     value = evidence.parameter("RNGFND1_ORIENT")
-    if value is not None:
-        right = value[1] == wanted
-        text = f"RNGFND1_ORIENT is {value[1]:g}" + ("" if right else f", but the cameras look to {wanted}")
-        yield Finding(
-            "range",
-            FindingLevel.OK if right else FindingLevel.FIX,
-            text,
-            () if right else (Fix("RNGFND1_ORIENT", wanted),),
-        )
+    if value is not None and value[1] == wanted:
+        yield Finding.ok("range", f"RNGFND1_ORIENT is {value[1]:g}")
+    elif value is not None:
+        text = f"RNGFND1_ORIENT is {value[1]:g}, but the cameras look to {wanted}"
+        yield Finding.fix("range", text, Fix("RNGFND1_ORIENT", wanted))
     yield from _limits(evidence)
 
 
@@ -73,7 +66,7 @@ def _switched_off(evidence: Evidence, name: str, text: str) -> Iterator[Finding]
     """A warning where the use of ranges to the ground is off; a vehicle without that parameter has no such switch."""
     value = evidence.parameter(name)
     if evidence.airframe.looks_down and value is not None and value[1] == 0.0:
-        yield Finding("range", FindingLevel.NOTE, text, (Fix(name, 1),))
+        yield Finding.note("range", text, Fix(name, 1))
 
 
 def _limits(evidence: Evidence) -> Iterator[Finding]:
@@ -92,9 +85,9 @@ def _limits(evidence: Evidence) -> Iterator[Finding]:
             side = "beyond" if upper else "below"
             border = f"{'to' if upper else 'from'} {ours_m:g} m"
             text = f"{value[0]} is {value[1]:g}: nothing {side} {limit_m:g} m is used, and we publish {border}"
-            yield Finding("range", FindingLevel.FIX, text, (Fix(value[0], ours_m * scale),))
+            yield Finding.fix("range", text, Fix(value[0], ours_m * scale))
         else:
-            yield Finding("range", FindingLevel.OK, f"{value[0]} is {value[1]:g}")
+            yield Finding.ok("range", f"{value[0]} is {value[1]:g}")
 
 
 def _proximity(evidence: Evidence) -> Iterator[Finding]:
@@ -102,16 +95,16 @@ def _proximity(evidence: Evidence) -> Iterator[Finding]:
         return
     if evidence.pilot.kind not in _PROXIMITY_USERS:
         text = "this vehicle has no proximity library: OBSTACLE_DISTANCE is only passed on to ground stations and logs"
-        yield Finding("proximity", FindingLevel.NOTE, text)
+        yield Finding.note("proximity", text)
         return
     kind = evidence.parameter("PRX1_TYPE", "PRX_TYPE")
     if kind is None:
         yield evidence.missing("proximity", "PRX1_TYPE")
     elif kind[1] != _MAVLINK_PROXIMITY:
         text = f"{kind[0]} is {kind[1]:g}, not {_MAVLINK_PROXIMITY} (MAVLink): obstacles are not used"
-        yield Finding("proximity", FindingLevel.FIX, text, (Fix(kind[0], _MAVLINK_PROXIMITY, reboot=True),))
+        yield Finding.fix("proximity", text, Fix(kind[0], _MAVLINK_PROXIMITY, reboot=True))
     else:
-        yield Finding("proximity", FindingLevel.OK, f"{kind[0]} is {_MAVLINK_PROXIMITY} (MAVLink)")
+        yield Finding.ok("proximity", f"{kind[0]} is {_MAVLINK_PROXIMITY} (MAVLink)")
 
 
 def _other_senders(evidence: Evidence) -> Iterator[Finding]:
@@ -121,12 +114,12 @@ def _other_senders(evidence: Evidence) -> Iterator[Finding]:
         if orientation != ours or (component == 1 and _echoes_us(evidence)):
             continue
         text = f"{system}/{component} also sends DISTANCE_SENSOR of orientation {ours} ({count} heard): turn one off"
-        yield Finding("range", FindingLevel.FIX, text)
+        yield Finding.fix("range", text)
     for number in range(2, 5):
         kind, place = evidence.parameter(f"RNGFND{number}_TYPE"), evidence.parameter(f"RNGFND{number}_ORIENT")
         if kind is not None and place is not None and kind[1] and place[1] == ours:
             text = f"RNGFND{number} looks to {ours} too: the autopilot may use it in place of ours"
-            yield Finding("range", FindingLevel.FIX, text, (Fix(f"RNGFND{number}_TYPE", 0, reboot=True),))
+            yield Finding.fix("range", text, Fix(f"RNGFND{number}_TYPE", 0, reboot=True))
 
 
 def _echoes_us(evidence: Evidence) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.vehicle.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
 from companion.core.wing.lowpass import Butterworth2
-from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
+from companion.doctor.evidence import Evidence, Finding, Fix
 from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5  # chosen: a filter's cut-off over the mode's frequency: nearer ones turn and damp it
@@ -38,10 +38,10 @@ def _loop(evidence: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
         return evidence.missing("loop", "SCHED_LOOP_RATE")
     loop_hz = value[1]
     if loop_hz >= needed_loop_rate_hz(wanted_hz):
-        return Finding("loop", FindingLevel.OK, f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
+        return Finding.ok("loop", f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
     text = f"SCHED_LOOP_RATE is {loop_hz:g} Hz: inertial messages come at {0.8 * loop_hz:.0f} Hz at most"
     fix = Fix("SCHED_LOOP_RATE", needed_loop_rate_hz(wanted_hz), reboot=True)
-    return Finding("loop", FindingLevel.FIX if 0.8 * loop_hz < needed_hz else FindingLevel.NOTE, text, (fix,))
+    return Finding.fix("loop", text, fix) if 0.8 * loop_hz < needed_hz else Finding.note("loop", text, fix)
 
 
 def _integration(evidence: Evidence, needed_hz: float) -> Finding:
@@ -52,9 +52,8 @@ def _integration(evidence: Evidence, needed_hz: float) -> Finding:
     rate_hz = value[1]
     text = f"IMU_INTEG_RATE is {rate_hz:g} Hz: inertial messages come at that rate at most"
     if rate_hz >= needed_hz:
-        return Finding("loop", FindingLevel.OK, text)
-    fix = Fix("IMU_INTEG_RATE", needed_integration_rate_hz(needed_hz), reboot=True)
-    return Finding("loop", FindingLevel.FIX, text, (fix,))
+        return Finding.ok("loop", text)
+    return Finding.fix("loop", text, Fix("IMU_INTEG_RATE", needed_integration_rate_hz(needed_hz), reboot=True))
 
 
 def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, fixes: tuple[Fix, ...]) -> Finding:
@@ -64,14 +63,12 @@ def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, 
         text = f"{station.name.lower()}: no {message} arrives"
         if message == "HIGHRES_IMU":
             text += "; boards with 1 MB of flash do not have it: map RAW_IMU in the airframe file"
-        return Finding("rate", FindingLevel.FIX, text)
+        return Finding.fix("rate", text)
     mode = f"the {evidence.highest_hz:.1f} Hz mode"
     if rate_hz >= needed_hz:
-        return Finding(
-            "rate", FindingLevel.OK, f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}"
-        )
+        return Finding.ok("rate", f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}")
     text = f"{what} is too slow for {mode}, which needs {needed_hz:.0f} Hz"
-    return Finding("rate", FindingLevel.FIX, text if fixes else text + ": raise the baud rate of this link", fixes)
+    return Finding.fix("rate", text if fixes else text + ": raise the baud rate of this link", *fixes)
 
 
 def check_filters(evidence: Evidence) -> Iterator[Finding]:
@@ -84,19 +81,19 @@ def check_filters(evidence: Evidence) -> Iterator[Finding]:
             continue
         name, cutoff_hz = value
         if evidence.px4:
-            yield Finding("filter", FindingLevel.OK, f"{name} acts behind the messages that PX4 sends: nothing to undo")
+            yield Finding.ok("filter", f"{name} acts behind the messages that PX4 sends: nothing to undo")
             continue
         if cutoff_hz <= 0:
-            yield Finding("filter", FindingLevel.OK, f"{name} is off")
+            yield Finding.ok("filter", f"{name} is off")
             continue
         wanted_hz = 5.0 * math.ceil(4.0 * evidence.highest_hz / 5.0)
         gain, phase_deg = _butterworth(evidence.highest_hz / cutoff_hz)
         mode = f"{evidence.highest_hz:.1f} Hz mode"
         text = f"{name} {cutoff_hz:g} Hz turns the {mode} by {phase_deg:.0f} deg, gain {gain:.2f}"
         if cutoff_hz < _FILTER_RATIO * evidence.highest_hz:
-            yield Finding("filter", FindingLevel.FIX, text + ": raise it", (Fix(name, max(wanted_hz, 20.0)),))
+            yield Finding.fix("filter", text + ": raise it", Fix(name, max(wanted_hz, 20.0)))
         else:
-            yield Finding("filter", FindingLevel.OK, text + f", which is undone ({axis})")
+            yield Finding.ok("filter", text + f", which is undone ({axis})")
     for notch in ("HNTCH", "HNTC2"):
         yield from _notch(evidence, notch)
 
@@ -105,11 +102,11 @@ def _notch(evidence: Evidence, notch: str) -> Iterator[Finding]:
     """A finding on one of the autopilot's two gyro notches, where it is on."""
     enable, centre = evidence.parameter(f"INS_{notch}_ENABLE"), evidence.parameter(f"INS_{notch}_FREQ")
     if enable is not None and enable[1] and centre is not None:
-        near = centre[1] < 2.0 * evidence.highest_hz
-        text = f"gyro notch at {centre[1]:g} Hz" + (
-            f" sits on the wing's modes: raise INS_{notch}_FREQ" if near else ""
-        )
-        yield Finding("filter", FindingLevel.FIX if near else FindingLevel.OK, text)
+        text = f"gyro notch at {centre[1]:g} Hz"
+        if centre[1] < 2.0 * evidence.highest_hz:
+            yield Finding.fix("filter", f"{text} sits on the wing's modes: raise INS_{notch}_FREQ")
+        else:
+            yield Finding.ok("filter", text)
 
 
 def _butterworth(ratio: float) -> tuple[float, float]:
@@ -128,32 +125,28 @@ def check_clocks(evidence: Evidence) -> Iterator[Finding]:
     """Whether every clock that stamps samples is known."""
     if not evidence.live and not evidence.clocks:
         return  # a log of somebody else, who asked nobody for the time
-    sensors = [evidence.airframe.sensor(station) for station in Station]
-    for clock in sorted({sensor.source.clock for sensor in sensors} - {ClockName.HOST}):
+    stations: dict[ClockName, Station] = {}
+    for station in Station:
+        stations.setdefault(evidence.airframe.sensor(station).source.clock, station)
+    for clock in sorted(stations.keys() - {ClockName.HOST}):
         state = evidence.clocks.get(clock)
-        stations = [station for station in Station if evidence.airframe.sensor(station).source.clock is clock]
-        axes = evidence.axes.get(stations[0], Axis.NONE)
-        way = _WAYS.get(bool(axes & Axis.GYRO)) if axes & (Axis.GYRO | Axis.Z) else None
-        if state is None and clock is not ClockName.BOOT and way is not None:
-            text = (
-                f"{clock}: TIMESYNC is not answered; it will be aligned by {way} (tools/wing_node has a firmware that "
-                "answers: 0.1 ms)"
-            )
-            yield Finding("clock", FindingLevel.NOTE, text)
-        elif state is None:
-            text = f"{clock}: TIMESYNC is not answered; its samples cannot be used"
-            yield Finding(
-                "clock",
-                FindingLevel.FIX,
-                text + ("" if clock is ClockName.BOOT else ": node firmware without TIMESYNC?"),
-            )
+        if state is None:
+            yield _unanswered(clock, evidence.axes.get(stations[clock], Axis.NONE))
         elif not state.synced:
-            yield Finding(
-                "clock", FindingLevel.FIX, f"{clock}: answers contradict each other; a second sender of its id?"
-            )
+            yield Finding.fix("clock", f"{clock}: answers contradict each other; a second sender of its id?")
         else:
-            good = state.bound_ns <= _GOOD_BOUND_NS
             text = f"{clock} known to {state.bound_ns / 1e6:.2f} ms, runs {state.skew_ppm:+.0f} ppm"
-            yield Finding(
-                "clock", FindingLevel.OK if good else FindingLevel.NOTE, text + ("" if good else ": slow round trips")
-            )
+            good = state.bound_ns <= _GOOD_BOUND_NS
+            yield Finding.ok("clock", text) if good else Finding.note("clock", f"{text}: slow round trips")
+
+
+def _unanswered(clock: ClockName, axes: Axis) -> Finding:
+    """A clock of which nothing is known; a node's is aligned by the motion that its ``axes`` show."""
+    text = f"{clock}: TIMESYNC is not answered; "
+    if clock is ClockName.BOOT:
+        return Finding.fix("clock", f"{text}its samples cannot be used")
+    if not axes & (Axis.GYRO | Axis.Z):
+        return Finding.fix("clock", f"{text}its samples cannot be used: node firmware without TIMESYNC?")
+    way = _WAYS[bool(axes & Axis.GYRO)]
+    text += f"it will be aligned by {way} (tools/wing_node has a firmware that answers: 0.1 ms)"
+    return Finding.note("clock", text)

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
-from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
+from companion.doctor.evidence import Evidence, Finding, Fix
 from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE
-from companion.params.airframe import Sensor
+from companion.params.airframe import Sensor, Source
 from companion.records import Axis, Station
 
 _NONE = "no wingtip is measured: there is nothing to correct ranges with; only 'alive, no range' goes out"
@@ -33,15 +33,15 @@ def check_nodes(evidence: Evidence) -> Iterator[Finding]:
     for side in (Station.LEFT, Station.RIGHT):
         yield from _node(evidence, side)
     if len(alive) == 2:
-        yield Finding("wing", FindingLevel.OK, _accuracy(evidence))
+        yield Finding.ok("wing", _accuracy(evidence))
     elif alive:
         text = (
             f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
             "ranges go out with the larger sigma that this leaves, and are trusted where it is small enough"
         )
-        yield Finding("wing", FindingLevel.FIX, text)
+        yield Finding.fix("wing", text)
     else:
-        yield Finding("wing", FindingLevel.FIX, _NONE)
+        yield Finding.fix("wing", _NONE)
     yield from _lines(evidence)
     yield from _losses(evidence)
 
@@ -52,28 +52,28 @@ def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
     wired = source.component == AUTOPILOT_COMPONENT
     if not rate_hz:
         if not wired:
-            beats = (evidence.system, source.component) in evidence.beats
-            text = f"{name}: component {source.component} " + (
-                f"beats but sends no {source.message}" if beats else "is silent"
-            )
-            others = [what for what in evidence.foreign_imu if what.startswith(source.message)]
-            text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
-            yield Finding("wing", FindingLevel.FIX, text)
+            yield _silent(evidence, source, name)
         return
     missing = "".join(
         letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not evidence.axes[side] >> bit & 1
     )
     if missing:
         text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
-        yield Finding("wing", FindingLevel.FIX, text)
+        yield Finding.fix("wing", text)
     if not wired:
-        slow = rate_hz < _ENOUGH * sensor.rate_hz
-        text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz" + (
-            f", not {sensor.rate_hz:.0f}" if slow else ""
-        )
-        yield Finding(
-            "wing", FindingLevel.FIX if slow else FindingLevel.OK, text + (_bandwidth(evidence, side) if slow else "")
-        )
+        text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz"
+        if rate_hz < _ENOUGH * sensor.rate_hz:
+            yield Finding.fix("wing", f"{text}, not {sensor.rate_hz:.0f}{_bandwidth(evidence, sensor)}")
+        else:
+            yield Finding.ok("wing", text)
+
+
+def _silent(evidence: Evidence, source: Source, name: str) -> Finding:
+    beats = (evidence.system, source.component) in evidence.beats
+    text = f"{name}: component {source.component} {f'beats but sends no {source.message}' if beats else 'is silent'}"
+    others = [what for what in evidence.foreign_imu if what.startswith(source.message)]
+    text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
+    return Finding.fix("wing", text)
 
 
 def _lines(evidence: Evidence) -> Iterator[Finding]:
@@ -90,16 +90,16 @@ def _lines(evidence: Evidence) -> Iterator[Finding]:
         streams_need = "a node's stream needs" if len(behind) == 1 else "the streams of two nodes need"
         text = f"{link}: {streams_need} {needed:.0f} baud of {baud}"
         if baud < needed:
-            yield Finding("wing", FindingLevel.FIX, text + ": raise the baud rate, or lower the node's rate")
+            yield Finding.fix("wing", text + ": raise the baud rate, or lower the node's rate")
         else:
-            yield Finding("wing", FindingLevel.OK, text)
+            yield Finding.ok("wing", text)
 
 
 def _losses(evidence: Evidence) -> Iterator[Finding]:
     """Losses that the nodes themselves count (tools/wing_node)."""
     for (component, name), count in sorted(evidence.node_losses.items()):
         if count and name in _LOSSES:
-            yield Finding("wing", FindingLevel.FIX, f"node {component}: {count} {_LOSSES[name]}")
+            yield Finding.fix("wing", f"node {component}: {count} {_LOSSES[name]}")
 
 
 def _needed_baud(sensor: Sensor) -> float:
@@ -107,19 +107,15 @@ def _needed_baud(sensor: Sensor) -> float:
     return sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
 
 
-def _bandwidth(evidence: Evidence, side: Station) -> str:
+def _bandwidth(evidence: Evidence, sensor: Sensor) -> str:
     """Bit rate that the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
-    sensor = evidence.airframe.sensor(side)
     needed = _needed_baud(sensor)
-    component = sensor.source.component
-    heard = [link for link, components in evidence.link_components.items() if component in components]
-    small = {
-        link: baud for link, baud in evidence.serial_baud.items() if baud < needed and (link in heard or not heard)
-    }
-    if not small:
-        return ""
-    link, baud = next(iter(small.items()))
-    return f": {link} has {baud} baud and this stream alone needs {needed:.0f}"
+    links = evidence.link_components.items()
+    heard = [link for link, components in links if sensor.source.component in components]
+    for link, baud in evidence.serial_baud.items():
+        if baud < needed and (link in heard or not heard):
+            return f": {link} has {baud} baud and this stream alone needs {needed:.0f}"
+    return ""
 
 
 def _accuracy(evidence: Evidence) -> str:
@@ -147,17 +143,17 @@ def _feedback(evidence: Evidence) -> Iterator[Finding]:
     counts = [len(evidence.feedback[number]) for number in sorted(evidence.feedback)]
     if len(counts) == 1:
         text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} pictures): set CAM2_TYPE like CAM1_TYPE"
-        yield Finding("camera", FindingLevel.FIX, text)
+        yield Finding.fix("camera", text)
     elif abs(counts[0] - counts[1]) > 1:
-        yield Finding("camera", FindingLevel.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
+        yield Finding.fix("camera", f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
     else:
-        yield Finding("camera", FindingLevel.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
+        yield Finding.ok("camera", f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
     shots_hz = evidence.settings.trigger_rate_hz
     for name in ("CAM1_DURATION", "CAM2_DURATION"):
         value = evidence.parameter(name)
         if value is not None and value[1] * shots_hz >= 1.0:
             text = f"{name} {value[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
-            yield Finding("camera", FindingLevel.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
+            yield Finding.fix("camera", text, Fix(name, round(0.5 / shots_hz, 3)))
 
 
 def _planned(counts: dict[str, int]) -> Finding:
@@ -165,10 +161,10 @@ def _planned(counts: dict[str, int]) -> Finding:
     text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
     tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
     if counts.get(FAILED, 0) > _LOST * tried:
-        return Finding("shots", FindingLevel.FIX, text + ": is a camera set up on that line, and free at TRG_RATE?")
+        return Finding.fix("shots", text + ": is a camera set up on that line, and free at TRG_RATE?")
     if counts.get(LATE, 0) > _LOST * tried:
-        return Finding("shots", FindingLevel.FIX, text + ": the computer is too busy, or has no real-time priority")
-    return Finding("shots", FindingLevel.OK, text)
+        return Finding.fix("shots", text + ": the computer is too busy, or has no real-time priority")
+    return Finding.ok("shots", text)
 
 
 def _pairing(evidence: Evidence) -> Finding:
@@ -176,12 +172,10 @@ def _pairing(evidence: Evidence) -> Finding:
     text = f"{evidence.shots} shots, {evidence.pairs} matched pairs, {evidence.unpaired} images without a partner"
     text += f", {evidence.lost} that never came" if evidence.lost else ""
     if evidence.shots and not evidence.pairs:
-        return Finding("camera", FindingLevel.FIX, text + ": check the trigger line, and that both cameras obey it")
+        return Finding.fix("camera", text + ": check the trigger line, and that both cameras obey it")
     if evidence.lost > _UNPAIRED * 2 * max(evidence.pairs, 1):
         why = "the cameras, their link or this computer are too slow for so many shots"
-        return Finding("camera", FindingLevel.FIX, f"{text}: {why}; lower TRG_RATE")
+        return Finding.fix("camera", f"{text}: {why}; lower TRG_RATE")
     if evidence.unpaired > _UNPAIRED * 2 * max(evidence.pairs, 1):
-        return Finding(
-            "camera", FindingLevel.FIX, text + ": one camera misses shots, or the exposures are too far apart"
-        )
-    return Finding("camera", FindingLevel.OK, text)
+        return Finding.fix("camera", text + ": one camera misses shots, or the exposures are too far apart")
+    return Finding.ok("camera", text)
