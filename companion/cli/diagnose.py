@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.recordings.tables.mapping import FLIGHT, load_mapping
+from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping, load_mapping
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output
@@ -16,17 +17,21 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.flights.json_report import as_json
 from companion.diagnosis.flights.outcome import FlightDiagnosis, sentence
 from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.summary import summary_sentences
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation import measured_structures, sampling_check
 from companion.evaluation.extended_airframe import extended
-from companion.evaluation.findings_output import tell_written
+from companion.evaluation.findings_output import write_findings
 from companion.evaluation.flight_models import models_of
-from companion.evaluation.pages.diagnosis_page import write_report
+from companion.evaluation.pages.diagnosis_page import diagnosis_page
 from companion.evaluation.recorded_evidence import airframe_of
+from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.reporting.plotting import require_report
+
+_NOTHING_TO_APPLY = "--apply: no effect was named, so no airframe was written"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,15 +69,22 @@ def execute(options: argparse.Namespace) -> int:
         check_output(Path(path) if path else None, f"--{option}", inputs)
     if options.html:
         require_report()
-    progress = _Progress(options.json != "-")
+    progress = partial(_show_progress, options.json != "-" and sys.stderr.isatty())
     mapping = load_mapping(options.mapping) if options.mapping is not None else None
     if mapping is not None and mapping.test != FLIGHT:
         return measured_structures.execute(options, mapping, progress)
+    return _diagnose_flights(options, mapping, progress)
+
+
+def _diagnose_flights(
+    options: argparse.Namespace, mapping: TableMapping | None, progress: Callable[[str, float], None]
+) -> int:
     airframe = airframe_of(options.airframe, options.recordings)
     paths = sampling_check.paths_of(options.recordings, mapping)
     timings = [sampling_check.timing(path, airframe, mapping) for path in paths]
     if not all(timing.can_be_judged for timing in timings):
-        _say_nothing_to_apply(options)
+        if options.apply is not None:
+            print(_NOTHING_TO_APPLY, file=sys.stderr)
         return sampling_check.not_identifiable(timings, options, airframe.name)
     models = models_of(paths, airframe, mapping)
     diagnosis = diagnose(models, list(catalogue().values()), options.max_causes, progress)
@@ -80,32 +92,28 @@ def execute(options: argparse.Namespace) -> int:
     plain["notes"] = [*dict.fromkeys([note for timing in timings for note in timing.notes] + plain["notes"])]
     plain["tones"] = [tone for timing in timings for tone in timing.tones]
     plain["words"] = summary_sentences(plain, plain["tones"])
-    if options.json == "-":
-        print(json.dumps(plain, indent=2, allow_nan=False))
-    else:
-        _print_findings(diagnosis, plain)
-        if options.json:
-            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if options.html:
-        write_report(diagnosis, models, plain, Path(options.html))
-    tell_written(options.json, options.html)
-    if not diagnosis.causes:
-        _say_nothing_to_apply(options)
-    elif options.apply is not None:
-        path = Path(options.apply or f"{airframe.name}-extended.toml")
-        path.write_text(
-            dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units)),
-            encoding="utf-8",
-        )
-        if options.json != "-":
-            names = ", ".join(cause.term.effect.name for cause in diagnosis.causes)
-            print(f"wrote {path}: {airframe.name} with {names}")
+    write_findings(
+        plain,
+        options.json,
+        options.html,
+        partial(_print_findings, diagnosis),
+        lambda: diagnosis_page(diagnosis, models, plain),
+    )
+    if options.apply is not None:
+        _apply(options, airframe, models[0], diagnosis)
     return NOTHING_TO_ESTIMATE if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
 
 
-def _say_nothing_to_apply(options: argparse.Namespace) -> None:
-    if options.apply is not None:
-        print("--apply: no effect was named, so no airframe was written", file=sys.stderr)
+def _apply(options: argparse.Namespace, airframe: Airframe, model: FlightModel, diagnosis: FlightDiagnosis) -> None:
+    """Write the airframe with the named effects."""
+    if not diagnosis.causes:
+        print(_NOTHING_TO_APPLY, file=sys.stderr)
+        return
+    path = Path(options.apply or f"{airframe.name}-extended.toml")
+    airframe_with_causes = extended(airframe, model.belief, diagnosis, model.observations.units)
+    path.write_text(dump_airframe(airframe_with_causes), encoding="utf-8")
+    if options.json != "-":
+        print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in diagnosis.causes)}")
 
 
 def _print_findings(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:
@@ -127,12 +135,7 @@ def _print_findings(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:
         print(f"  note: {note}")
 
 
-class _Progress:
+def _show_progress(shown: bool, what: str, fraction: float) -> None:
     """One line that says what is being done."""
-
-    def __init__(self, shown: bool) -> None:
-        self._shown = shown and sys.stderr.isatty()
-
-    def __call__(self, what: str, fraction: float) -> None:
-        if self._shown:
-            print(f"\r\033[K{what} {100 * fraction:3.0f} %", end="\r", file=sys.stderr, flush=True)
+    if shown:
+        print(f"\r\033[K{what} {100 * fraction:3.0f} %", end="\r", file=sys.stderr, flush=True)

@@ -25,11 +25,6 @@ def write_findings(
             Path(json_target).write_text(text + "\n", encoding="utf-8")
     if html_target:
         Path(html_target).write_text(make_page(), encoding="utf-8")
-    tell_written(json_target, html_target)
-
-
-def tell_written(json_target: str | None, html_target: str | None) -> None:
-    """Name the files on standard output, unless the JSON is there."""
     files = [target for target in (json_target, html_target) if target]
     if files and json_target != "-":
         print(f"wrote {' and '.join(files)}")

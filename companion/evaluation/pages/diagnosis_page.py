@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from companion.diagnosis.flights.outcome import FlightDiagnosis, sentence
@@ -18,8 +17,8 @@ _CHECKS = 12  # rows of a legible table (choice)
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 
-def write_report(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
-    """Write the page."""
+def diagnosis_page(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plain: dict[str, Any]) -> str:
+    """The page as HTML; ``plain`` is the diagnosis's JSON."""
     fits, model = figures.fits_of(diagnosis), models[0]
     body: list[Block] = [
         Answers([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
@@ -43,7 +42,7 @@ def write_report(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plai
         title=f"Diagnosis: {diagnosis.verdict}", headline=sentence(diagnosis), body=body, subject=_what(plain, models),
         grade=str(diagnosis.verdict),
     )  # fmt: skip
-    path.write_text(render(page), encoding="utf-8")
+    return render(page)
 
 
 def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
