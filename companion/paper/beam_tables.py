@@ -13,8 +13,9 @@ from scipy.optimize import minimize_scalar
 
 from companion.core.wing.beam import Beam, characteristic_roots
 from companion.paper import printed
-from companion.paper.findings import Section, SectionTable, deviation, number, percent
+from companion.paper.findings import Section, deviation, number, percent
 from companion.records import Floats
+from companion.reporting.blocks import Table
 
 STRIP_WIDTH_M = 0.0507  # derived: area and second moment of one strip that fit Table 2
 STRIP_THICKNESS_M = 0.001  # derived: with the width above
@@ -180,7 +181,7 @@ def _of_fit(mass_ratio: float, scale_radps: float) -> list[dict[str, float]]:
     return _against_table_2(roots, [scale_radps * root**2 for root in roots])
 
 
-def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[SectionTable, ...]:
+def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[Table, ...]:
     rows = []
     for name, modes_of_case in modes.items():
         for n, (mode, row) in enumerate(zip(modes_of_case, printed.MODES, strict=True), start=1):
@@ -196,16 +197,11 @@ def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[SectionTable, ...
         (p.what, p.as_printed, f"{p.corrected:.4g} {p.unit}", _times(p.printed / p.corrected), p.because, p.sure)
         for p in properties()
     )
+    heads = ("", "printed", "ours", "printed / ours", "because", "sure?")
+    note = "dev.: ours over the printed figure, less 1. Strip: 50.7 x 1.00 mm. Best fit: mass ratio, stiffness free."
     return (
-        SectionTable(
-            "Table 1: printed against corrected", ("", "printed", "ours", "printed / ours", "because", "sure?"), lines
-        ),
-        SectionTable(
-            "Table 2: printed against computed",
-            header,
-            tuple(rows),
-            "dev.: ours over the printed figure, less 1. Strip: 50.7 x 1.00 mm. Best fit: mass ratio, stiffness free.",
-        ),
+        Table(heads, lines, title="Table 1: printed against corrected"),
+        Table(header, rows, title="Table 2: printed against computed", note=note),
     )
 
 

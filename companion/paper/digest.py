@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 from companion.paper import beam_tables, printed, range_tables
-from companion.paper.findings import Section, SectionTable, percent
+from companion.paper.findings import Section, percent
 from companion.paper.own_experiments import left_m
-from companion.paper.scores import Results
+from companion.paper.scores import Results, rms_error
+from companion.reporting.blocks import Table
 
 _TABLE_3 = ("wing_checker", "wing_bucket", "wing_cone")
 _WING = (*_TABLE_3, "wing_60m")
@@ -30,7 +31,7 @@ def section(results: Results, dominance: dict[str, Any]) -> Section:
         "Nothing here was measured on hardware; set-ups that the paper does not print are stated below.",
     )
     heads = ("claim", "the paper", "corrected", "published (trusted shots)", "oracle")
-    table = SectionTable("Claims", heads, _claim_rows(results, dominance), _claim_note(results))
+    table = Table(heads, _claim_rows(results, dominance), title="Claims", note=_claim_note(results))
     data = {"more_than_the_paper_claims": claims, "worse": weak, "over_seeds": over, "sentence": sentence(over)}
     return Section("digest", "In short", findings, (table,), (), data)
 
@@ -128,7 +129,7 @@ def _published(results: Results) -> str:
     sentence = f"Published, for they were trusted: {trusted} of {shots} shots at the peaks of the paper's experiments"
     if worst is None:
         return f"{sentence}."
-    error = percent(results.peaks[worst]["published_trusted"]["rms_percent"] / 100)
+    error = rms_error(results.peaks[worst]["published_trusted"])
     return f"{sentence}; their rms error is at most {error} of range ({results.outcomes[worst].trial.title})."
 
 
@@ -177,9 +178,7 @@ def _surely_worse(scores: dict[str, Any]) -> bool:
 def _where_worse(results: Results, weak: dict[str, list[str]]) -> str:
     def change(key: str) -> str:
         scores = results.randoms[key]
-        before, after, sent = (
-            percent(scores[way]["rms_percent"] / 100) for way in ("in_trim", "corrected", "published_trusted")
-        )
+        before, after, sent = (rms_error(scores[way]) for way in ("in_trim", "corrected", "published_trusted"))
         return f"{results.outcomes[key].trial.title} ({before} becomes {after}; published {sent})"
 
     def behind(key: str) -> str:
@@ -221,8 +220,8 @@ def _random(results: Results, key: str, name: str) -> tuple[str, ...]:
 
 def _error_cells(peak: dict[str, Any], removed: bool = False) -> tuple[str, str, str]:
     """Corrected, published and by the oracle."""
-    before, after, oracle = (percent(peak[way]["rms_percent"] / 100) for way in ("rigid", "corrected", "oracle"))
+    before, after, oracle = (rms_error(peak[way]) for way in ("rigid", "corrected", "oracle"))
     change = f"{before} -> {after}"
-    error = percent(peak["published_trusted"]["rms_percent"] / 100)
+    error = rms_error(peak["published_trusted"])
     published = f"{error} ({peak['trusted']} of {peak['shots']})" if peak["trusted"] else f"none of {peak['shots']}"
     return f"{percent(peak['removed'], 1)} removed ({change})" if removed else change, published, oracle

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from companion.core.stereo.exposure import CameraExposure, rest_exposures
+from companion.core.stereo.exposure import rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation, relative_rotation, skew
@@ -17,10 +17,11 @@ from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, t
 from companion.core.wing.beam import BeamMode, characteristic
 from companion.paper import printed
 from companion.paper.beam_tables import corrected_beam
-from companion.paper.findings import Section, SectionTable, number
-from companion.paper.range_tables import toe_rad, wide_factor
+from companion.paper.findings import Section, number
+from companion.paper.range_tables import exact_toe_rad
 from companion.params.files import load_airframe
 from companion.records import ClockName, Floats, MatchSet, Side
+from companion.reporting.blocks import Table
 from companion.units import Orientation
 
 _AXIS = np.array([0.48, -0.6, 0.64])  # chosen: a unit vector with no component zero
@@ -47,7 +48,7 @@ class Equation:
 
 def audit() -> list[Equation]:
     """All equations, in the paper's order."""
-    return [*_stereo(), *_rotations(), *_beam()]
+    return [_stereo(), *_rotations(), *_beam()]
 
 
 # ------------------------------------------------------------------------------------------------ eq. 1
@@ -65,34 +66,26 @@ def projected_range_m(depth_m: float, slope_rad: float) -> tuple[float, float]:
         0, 0, (ClockName.HOST, ClockName.HOST), np.zeros(2, np.int64), 0, 0,
         pixels[Side.LEFT], pixels[Side.RIGHT], np.ones(1), 0,
     )  # fmt: skip
-    still: tuple[CameraExposure, CameraExposure] = rest_exposures(rig)
-    depths = triangulate(
-        match_rays(rig, still, matches), range_axis_of_rig(rig, orientation_axis(Orientation.DOWN)), np.ones(1)
-    )
+    sight = range_axis_of_rig(rig, orientation_axis(Orientation.DOWN))
+    depths = triangulate(match_rays(rig, rest_exposures(rig), matches), sight, np.ones(1))
     return float((pixels[Side.LEFT] - pixels[Side.RIGHT])[0, 0]), float(1.0 / depths.inverse_pm[0])
 
 
-def _stereo() -> list[Equation]:
+def _stereo() -> Equation:
     rig = Rig.from_airframe(load_airframe("paper-flying-wing"))
     depth = printed.OBJECTS[0].still_m
     disparity, read = projected_range_m(depth, 0.0)
     by_formula = rig.baseline_m * rig.left.lens.focal_px / disparity
-    return [
-        Equation(
-            "1",
-            "Z = B f / d",
-            "core.stereo.triangulation.triangulate",
-            f"a point at {depth} m through both lenses: our range against B f / d",
-            abs(read - by_formula),
-            None,
-        )
-    ]
+    check = f"a point at {depth} m through both lenses: our range against B f / d"
+    return Equation(
+        "1", "Z = B f / d", "core.stereo.triangulation.triangulate", check, abs(read - by_formula), as_printed=None
+    )
 
 
 def convergence() -> dict[str, float]:
     """Change that half of Table 3's board angle at each camera does to disparity and range, either way."""
     board = printed.OBJECTS[0]
-    slope = 0.5 * toe_rad(board.still_m, board.vibrating_m) / wide_factor(board.still_m)
+    slope = 0.5 * exact_toe_rad(board)
     still, _ = projected_range_m(board.still_m, 0.0)
     converged, long = projected_range_m(board.still_m, -slope)
     diverged, short = projected_range_m(board.still_m, slope)
@@ -250,7 +243,7 @@ def section() -> Section:
     return Section("equations", "Equations 1 to 12", findings, (_table(equations),), (), data)
 
 
-def _table(equations: list[Equation]) -> SectionTable:
+def _table(equations: list[Equation]) -> Table:
     rows = tuple(
         (
             entry.label,
@@ -263,8 +256,5 @@ def _table(equations: list[Equation]) -> SectionTable:
         )
         for entry in equations
     )
-    return SectionTable(
-        "Equation by equation",
-        ("eq.", "says", "implementation (companion.)", "check", "error of ours", "as printed", "remark"),
-        rows,
-    )
+    heads = ("eq.", "says", "implementation (companion.)", "check", "error of ours", "as printed", "remark")
+    return Table(heads, rows, title="Equation by equation")

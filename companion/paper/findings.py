@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from companion.reporting.blocks import Table
+
 _AS_FACTOR = 100.0  # convention: a ratio beyond it reads better as a factor than in percent
-
-
-@dataclass(frozen=True, slots=True)
-class SectionTable:
-    """Cells are ready to print; ``note`` says what a reader might stumble over."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +31,7 @@ class Section:
     key: str
     title: str
     findings: tuple[str, ...]
-    tables: tuple[SectionTable, ...] = ()
+    tables: Sequence[Table] = ()
     pictures: tuple[SectionPicture, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
 

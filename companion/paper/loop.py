@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +11,9 @@ import numpy as np
 from companion.core.pipeline import PipelineState, start, step
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
+from companion.evaluation.replay import TICK_NS
 from companion.evaluation.true_geometry import TrueGeometry
-from companion.paper.shots import Answer, Flown, ScoredShot, Usual, score
+from companion.paper.shots import Answer, Flown, Usual, score
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,
@@ -36,7 +36,6 @@ from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 from companion.sim.vision.scene import Scene
 
-_TICK_NS = 10_000_000  # convention: the live service's (service/inertial.py)
 _VISION_NS = 60_000_000  # chosen: what a small companion computer may take for a pair
 WARM_UP_S = 2.0
 """Before shots count the planner fires already, so that the trigger's latency is learned (choice)."""
@@ -128,14 +127,14 @@ def fly(
     )
     edges = deque((HOST_EPOCH_NS + np.sort(random_edges_ns)).tolist())
     records = deque(flight_records(flight))
-    for now_ns in _ticks(flight):
+    for now_ns in range(HOST_EPOCH_NS + TICK_NS, HOST_EPOCH_NS + round(flight.duration_s * 1e9), TICK_NS):
         while records and records[0].received_host_ns <= now_ns:
             run.feed(records.popleft())
         while run.waiting and run.waiting[0].matched_host_ns <= now_ns:
             run.feed(run.waiting.popleft())
         run.feed(Tick(now_ns))
-        run.fire(now_ns + _TICK_NS)
-        while edges and edges[0] < now_ns + _TICK_NS:
+        run.fire(now_ns + TICK_NS)
+        while edges and edges[0] < now_ns + TICK_NS:
             run.expose(edges.popleft(), _RANDOM_PLAN)
     return _counted(run, from_ns)
 
@@ -144,15 +143,9 @@ def _counted(run: _Run, from_ns: int) -> Flown:
     """Score every shot that counts; one without an answer is refused, whatever the reason."""
     counted = [pair_id for pair_id, shot in run.shots.items() if shot.mid_exposure_ns[0] >= from_ns]
     usual = Usual.of(run.geometry.flight)
-    shots = tuple(_scored(run, pair_id, usual) for pair_id in counted if pair_id in run.answers)
+    answered = [(run.shots[pair_id], run.answers[pair_id]) for pair_id in counted if pair_id in run.answers]
+    shots = tuple(
+        score(run.geometry, usual, matches, answer, matches.plan_id != _RANDOM_PLAN) for matches, answer in answered
+    )
     refused = Counter(str(run.refused.get(pair_id, "no answer")) for pair_id in counted if pair_id not in run.answers)
     return Flown(shots, len(run.shots) - len(counted), dict(refused))
-
-
-def _ticks(flight: Flight) -> Iterator[int]:
-    yield from range(HOST_EPOCH_NS + _TICK_NS, HOST_EPOCH_NS + round(flight.duration_s * 1e9), _TICK_NS)
-
-
-def _scored(run: _Run, pair_id: int, usual: Usual) -> ScoredShot:
-    matches = run.shots[pair_id]
-    return score(run.geometry, usual, matches, run.answers[pair_id], matches.plan_id != _RANDOM_PLAN)

@@ -6,7 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 
 from companion.paper import beam_tables, equations, printed, range_tables
-from companion.paper.findings import Section, SectionTable, deviation, number, percent
+from companion.paper.findings import Section, deviation, number, percent
+from companion.reporting.blocks import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,6 @@ def section() -> Section:
         "flies. The range that Table 4 claims after correction, however, does not follow from Table 3.",
     )
     rows = tuple((str(n), e.where, e.says, e.instead, e.shown_by, e.sure) for n, e in enumerate(entries, start=1))
-    table = SectionTable("Misprints", ("", "where", "printed", "instead", "shown by", "sure?"), rows)
+    table = Table(("", "where", "printed", "instead", "shown by", "sure?"), rows, title="Misprints")
     return Section("misprints", "Where the paper disagrees with itself", findings, (table,), (),
                    {"misprints": [asdict(entry) for entry in entries]})  # fmt: skip

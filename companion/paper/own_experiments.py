@@ -12,10 +12,11 @@ import numpy as np
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREEN, GREY, RED, draw
 from companion.paper.experiments import Outcome
-from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
-from companion.paper.scores import Results
+from companion.paper.findings import Section, SectionPicture, number, percent
+from companion.paper.scores import Results, rms_error
 from companion.paper.shots import ScoredShot
 from companion.records import Floats, Side
+from companion.reporting.blocks import Table
 from companion.reporting.plotting import INK, dots
 
 COLOURS = {"rigid": RED, "corrected": BLUE, "published": GREEN, "oracle": GREY}
@@ -39,9 +40,9 @@ def section(results: Results) -> Section:
     far = peaks["wing_60m"]
     ranges = {key: diverging_ranges_m(results.outcomes[key]) for key in _WING}
     findings = (
-        f"2 m wing at 60 m: {percent(far['rigid']['rms_percent'] / 100, 1)} of error becomes "
-        f"{percent(far['corrected']['rms_percent'] / 100)}; the paper extrapolates {printed.FAR_ERROR_PERCENT} % to "
-        f"{printed.FAR_LEFT_PERCENT} %, perfect extrinsics would leave {percent(far['oracle']['rms_percent'] / 100)}.",
+        f"2 m wing at 60 m: {rms_error(far['rigid'], 1)} of error becomes "
+        f"{rms_error(far['corrected'])}; the paper extrapolates {printed.FAR_ERROR_PERCENT} % to "
+        f"{printed.FAR_LEFT_PERCENT} %, perfect extrinsics would leave {rms_error(far['oracle'])}.",
         f"Boom under the shaker: the correction removes {percent(min(boom), 1)} or more of the error; the paper says "
         f"more than {printed.BEAM_REMOVED_PERCENT:.0f} %.",
         f"Random excitation, one vertical accelerometer per station: {percent(peaks['boom_random']['removed'], 1)} "
@@ -67,26 +68,32 @@ def _what_is_left(outcome: Outcome, peak: dict[str, Any]) -> str:
 
 def diverging_ranges_m(outcome: Outcome) -> dict[str, float]:
     """Median range of the shots at peaks whose cameras diverge, as in Table 3; every way."""
-    shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
-    return {way: _median_range_m(shots, way) for way in ("rigid", "corrected", "oracle")}
+    return {way: _median_range_m(_diverging(outcome), way) for way in ("rigid", "corrected", "oracle")}
 
 
 def left_m(outcome: Outcome) -> tuple[float, float]:
     """Error that is left at diverging peaks, as Table 3 defines it: median range less the true one; its sigma."""
-    shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
-    ranges = [1.0 / reading.inverse_pm for shot in shots if (reading := shot.all_features["corrected"]) is not None]
+    ranges = [1.0 / inverse_pm for inverse_pm in _inverse_pm(_diverging(outcome), "corrected")]
     if not ranges:
         return float("nan"), float("nan")
     sigma_m = _MEDIAN_SIGMA * float(np.std(ranges)) / np.sqrt(len(ranges))
     return float(np.median(ranges)) - outcome.trial.distance_m, float(sigma_m)
 
 
+def _diverging(outcome: Outcome) -> list[ScoredShot]:
+    return [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
+
+
+def _inverse_pm(shots: list[ScoredShot], way: str) -> list[float]:
+    return [reading.inverse_pm for shot in shots if (reading := shot.all_features[way]) is not None]
+
+
 def _median_range_m(shots: list[ScoredShot], way: str) -> float:
-    inverse = [reading.inverse_pm for shot in shots if (reading := shot.all_features[way]) is not None]
+    inverse = _inverse_pm(shots, way)
     return float(1.0 / np.median(inverse)) if inverse else float("nan")
 
 
-def _error_table(results: Results) -> SectionTable:
+def _error_table(results: Results) -> Table:
     header = (
         "experiment", "paper: before, after", "toe, mrad rms", "rigid", "corrected", "removed", "published", "oracle",
         "shots / trusted",
@@ -99,7 +106,7 @@ def _error_table(results: Results) -> SectionTable:
         if key in ("boom_1m", "boom_2m"):
             paper = f"> {printed.BEAM_REMOVED_PERCENT:.0f} % removed"
         rigid, corrected, published, oracle = (
-            percent(peak[way]["rms_percent"] / 100.0, 3) for way in ("rigid", "corrected", "published", "oracle")
+            rms_error(peak[way], 3) for way in ("rigid", "corrected", "published", "oracle")
         )
         counts = f"{peak['shots']} / {peak['trusted']}"
         toe = number(peak["toe_rms_mrad"], 3)
@@ -110,10 +117,10 @@ def _error_table(results: Results) -> SectionTable:
         "what leaves the service, which also asks the matched features. The paper prints no distances for the boom. "
         "Trusted: sigma within 3 % of the range and consistent with the last ones."
     )
-    return SectionTable("Triggered at peaks: range error, rms over the shots", header, tuple(rows), note)
+    return Table(header, rows, title="Triggered at peaks: range error, rms over the shots", note=note)
 
 
-def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> SectionTable:
+def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
     entries = [(entry.name, entry.still_m, entry.vibrating_m, entry.corrected_m) for entry in printed.OBJECTS]
     entries.append(("60 m (Table 4)", printed.FAR_M, printed.FAR_VIBRATING_M, printed.FAR_CORRECTED_M))
     rows = []
@@ -125,17 +132,17 @@ def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> SectionTable:
             f"{ours['corrected']:.{digits}f}", f"{ours['oracle']:.{digits}f}",
             f"{100 * (corrected / still - 1):+.2f} / {100 * (ours['corrected'] / still - 1):+.2f} %",
         ))  # fmt: skip
-    return SectionTable(
-        "Tables 3 and 4 again: metres at diverging peaks, median",
+    return Table(
         ("object", "still", "vibrating: paper", "ours", "corrected: paper", "ours", "oracle", "left: paper / ours"),
-        tuple(rows),
-        "The wing swings as wide at every object here, by the mean of the three angles that the paper's objects imply; "
-        "Table 4 takes the board's, the smallest. In the other table both signs of the peak count, and a converging "
-        "pair reads long by more than a diverging one reads short.",
+        rows,
+        title="Tables 3 and 4 again: metres at diverging peaks, median",
+        note="The wing swings as wide at every object here, by the mean of the three angles that the paper's objects "
+        "imply; Table 4 takes the board's, the smallest. In the other table both signs of the peak count, and a "
+        "converging pair reads long by more than a diverging one reads short.",
     )
 
 
-def _draws_table(results: Results) -> tuple[SectionTable, ...]:
+def _draws_table(results: Results) -> tuple[Table, ...]:
     """None where nothing was repeated."""
     rows = []
     for key, others in results.draws.items():
@@ -143,8 +150,8 @@ def _draws_table(results: Results) -> tuple[SectionTable, ...]:
             rows.append((
                 results.outcomes[key].trial.title if seed == results.seed else "", str(seed),
                 number(peak["toe_rms_mrad"], 3),
-                *(percent(peak[way]["rms_percent"] / 100.0, 2) for way in ("rigid", "corrected")),
-                percent(peak["removed"], 1), percent(peak["published"]["rms_percent"] / 100.0, 2),
+                *(rms_error(peak[way], 2) for way in ("rigid", "corrected")),
+                percent(peak["removed"], 1), rms_error(peak["published"], 2),
                 f"{peak['shots']} / {peak['trusted']}",
             ))  # fmt: skip
     header = ("experiment", "seed", "toe, mrad rms", "rigid", "corrected", "removed", "published", "shots / trusted")
@@ -152,7 +159,7 @@ def _draws_table(results: Results) -> tuple[SectionTable, ...]:
         "Every seed is another boom and another wing, drawn from the airframe's sigmas, with other drives and sensors. "
         "No shots at peaks: the tracker said that it does not follow this wing, and the trigger did not fire."
     )
-    return (SectionTable("The same with other seeds, at peaks", header, tuple(rows), note),) if rows else ()
+    return (Table(header, rows, title="The same with other seeds, at peaks", note=note),) if rows else ()
 
 
 # ------------------------------------------------------------------------------------------------ pictures
@@ -184,9 +191,7 @@ def _bars(results: Results) -> SectionPicture:
         axis.set_ylim(top=20 * max(peak["rigid"]["rms_percent"] for peak in peaks))
 
     far = results.peaks["wing_60m"]
-    before, after, sent = (
-        percent(far[way]["rms_percent"] / 100) for way in ("rigid", "corrected", "published_trusted")
-    )
+    before, after, sent = (rms_error(far[way]) for way in ("rigid", "corrected", "published_trusted"))
     said = f"At 60 m {before} of range error become {after}, {sent} where published (rms at peaks)"
     title = "Range errors of the paper's experiments: the paper's, ours, and with true extrinsics"
     return draw(title, 1, 1, paint, 3.8, said=said)

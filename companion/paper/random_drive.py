@@ -8,10 +8,11 @@ import numpy as np
 
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREY, RED, draw
-from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
+from companion.paper.findings import Section, SectionPicture, number, percent
 from companion.paper.shaken_boom import WINDOW_S, Response, Shaken, respond, shake, white_share
 from companion.params.files import load_airframe
 from companion.records import Floats
+from companion.reporting.blocks import Table
 
 _SHOWN_S = 2.0  # chosen: some twenty periods, each to be seen
 
@@ -40,8 +41,7 @@ def section() -> Section:
         f"{number(data['least_coherence_hz'], 3)} Hz, with {response.averages} averages of {WINDOW_S:g} s. The "
         "notch at the resonance is the window's resolution, not the beam: a longer window fills it.",
     )
-    table = SectionTable(
-        "Dominance of the first mode under random drive",
+    table = Table(
         ("share of variance that is not mode 1", "0-200 Hz, this run", "no upper limit, closed form"),
         (
             (
@@ -52,7 +52,9 @@ def section() -> Section:
             ("tip slope", _rest(data["share_of_slope_variance"]), percent(data["second_over_first_white_slope"], 2)),
             ("tip acceleration (mode 1: 10 to 40 Hz)", _rest(data["share_of_acceleration_variance"]), "-"),
         ),
-        f"Damping {data['damping']:g} is the airframe's belief; the paper gives none. Modes 1 and 2 of Table 2's beam.",
+        title="Dominance of the first mode under random drive",
+        note=f"Damping {data['damping']:g} is the airframe's belief; the paper gives none. Modes 1 and 2 of Table 2's "
+        "beam.",
     )
     pictures = (_draw_time(shaken, data), _draw_response(response, data))
     return Section("figs_11_12", "Figs. 11 and 12: random excitation", findings, (table,), pictures, data)

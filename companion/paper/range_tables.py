@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from companion.paper import printed
-from companion.paper.findings import Section, SectionTable, percent
+from companion.paper.findings import Section, percent
 from companion.records import Floats
+from companion.reporting.blocks import Table
 
 _ROUNDING_M = 0.0005  # the paper prints millimetres
 
@@ -33,14 +34,19 @@ def wide_factor(range_m: float) -> float:
     return 1.0 + (printed.BASELINE_M / (2.0 * range_m)) ** 2
 
 
+def exact_toe_rad(entry: printed.PrintedRange) -> float:
+    """Divergence that an object's vibrating range implies, with the factor of a wide pair."""
+    return toe_rad(entry.still_m, entry.vibrating_m) / wide_factor(entry.still_m)
+
+
 def toe_rounding_rad(true_m: float, read_m: float) -> float:
     """How far the printed millimetres leave the angle open, either way."""
     return printed.BASELINE_M * _ROUNDING_M * (read_m**-2 + true_m**-2)
 
 
-def truncated(value: float, decimals: int) -> float:
-    """Cut off, as the paper does with its percentages."""
-    return math.floor(value * 10.0**decimals + 1e-9) / 10.0**decimals
+def truncated(percentage: float) -> float:
+    """Cut off after two decimals, as the paper does with its percentages."""
+    return math.floor(percentage * 100.0 + 1e-9) / 100.0
 
 
 def one_angle() -> tuple[float, Floats]:
@@ -64,14 +70,14 @@ def objects() -> list[dict[str, Any]]:
             {
                 "name": entry.name,
                 "toe_rad": before,
-                "toe_exact_rad": before / wide_factor(entry.still_m),
+                "toe_exact_rad": exact_toe_rad(entry),
                 "toe_rounding_rad": toe_rounding_rad(entry.still_m, entry.vibrating_m),
                 "left_rad": after,
                 "applied_rad": before - after,
                 "error_percent": error,
-                "error_percent_truncated": truncated(error, 2),
+                "error_percent_truncated": truncated(error),
                 "left_percent": left,
-                "left_percent_truncated": truncated(left, 2),
+                "left_percent_truncated": truncated(left),
             }
         )
     return entries
@@ -87,7 +93,7 @@ def far() -> dict[str, float]:
     return {
         "board_toe_rad": angle,
         "vibrating_m": read_range_m(printed.FAR_M, angle),
-        "vibrating_exact_m": read_range_m(printed.FAR_M, angle / wide_factor(board.still_m)),
+        "vibrating_exact_m": read_range_m(printed.FAR_M, exact_toe_rad(board)),
         "corrected_by_half_m": read_range_m(printed.FAR_M, angle - (angle - residual) / 2.0),
         "corrected_by_tables_residual_m": read_range_m(printed.FAR_M, residual),
         "toe_left_by_printed_rad": implied,
@@ -127,7 +133,7 @@ def section() -> Section:
     return Section("tables_3_4", "Tables 3 and 4: the flying wing", findings, tables, (), data)
 
 
-def _angles(rows: list[dict[str, Any]]) -> SectionTable:
+def _angles(rows: list[dict[str, Any]]) -> Table:
     header = ("object", "still / vibrating / corrected, m", "divergence, mrad", "exact, mrad",
               "correction applied, mrad", "left, mrad")  # fmt: skip
     lines = tuple(
@@ -142,10 +148,10 @@ def _angles(rows: list[dict[str, Any]]) -> SectionTable:
         for entry, row in zip(printed.OBJECTS, rows, strict=True)
     )
     note = "± is what the printed millimetres leave open. theta = B (1/Z' - 1/Z), B = 1.98 m."
-    return SectionTable("Table 3: the angles its ranges imply", header, lines, note)
+    return Table(header, lines, title="Table 3: the angles its ranges imply", note=note)
 
 
-def _percentages(rows: list[dict[str, Any]]) -> SectionTable:
+def _percentages(rows: list[dict[str, Any]]) -> Table:
     header = ("object", "error printed", "computed", "cut off", "left printed", "computed", "cut off")
     lines = tuple(
         (
@@ -159,28 +165,24 @@ def _percentages(rows: list[dict[str, Any]]) -> SectionTable:
         )
         for entry, row in zip(printed.OBJECTS, rows, strict=True)
     )
-    return SectionTable(
-        "Table 3: its percentages",
-        header,
-        lines,
-        "Cut off, as the paper seems to do. The board's 0.20 % is neither (rounding of the millimetres allows it).",
-    )
+    note = "Cut off, as the paper seems to do. The board's 0.20 % is neither (rounding of the millimetres allows it)."
+    return Table(header, lines, title="Table 3: its percentages", note=note)
 
 
-def _one_angle_table(angle_rad: float) -> SectionTable:
+def _one_angle_table(angle_rad: float) -> Table:
     lines = []
     for entry in printed.OBJECTS:
         ours = read_range_m(entry.still_m, angle_rad)
         gap = 1e3 * (ours - entry.vibrating_m)
         lines.append((entry.name, f"{entry.vibrating_m:.3f}", f"{ours:.3f}", f"{gap:+.1f} mm"))
-    return SectionTable(
-        f"Table 3, were it one angle ({1e3 * angle_rad:.3f} mrad)",
+    return Table(
         ("object", "vibrating, printed, m", "computed, m", "deviation"),
-        tuple(lines),
+        lines,
+        title=f"Table 3, were it one angle ({1e3 * angle_rad:.3f} mrad)",
     )
 
 
-def _far_table(scaled: dict[str, float]) -> SectionTable:
+def _far_table(scaled: dict[str, float]) -> Table:
     def line(what: str, printed_m: float, ours_m: float, source: str) -> tuple[str, ...]:
         return what, f"{printed_m} m", f"{ours_m:.2f} m", percent(ours_m / printed_m - 1.0), source
 
@@ -193,6 +195,4 @@ def _far_table(scaled: dict[str, float]) -> SectionTable:
         ("error removed", f"{printed.FAR_REMOVED_PERCENT} %", percent(removed), percent(removed / printed_ratio - 1.0),
          "52.8 and 56.8 m, in range"),
     )  # fmt: skip
-    return SectionTable(
-        "Table 4: scaled to 60 m", ("", "printed", "computed", "deviation", "if it follows from"), lines
-    )
+    return Table(("", "printed", "computed", "deviation", "if it follows from"), lines, title="Table 4: scaled to 60 m")

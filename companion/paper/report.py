@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +37,9 @@ def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequ
 
     Everything is run with the first of ``seeds``, what is to be repeated with the others too.
     """
-    seed, *others = seeds
     # spawned, for a fork would copy the threads' locks of whatever was imported
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = [pool.submit(run, trial, pace, seed) for trial in trials()]
-        again = {
-            (trial.key, other): pool.submit(at_peaks, trial, pace, other)
-            for other in others
-            for trial in trials()
-            if trial.key in REPEATED
-        }
+        wait_for_results = _begin(pool, pace, say, seeds)
         random = random_drive.section()
         closed = [
             beam_tables.section(),
@@ -57,15 +50,7 @@ def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequ
             random,
         ]
         say("tables, equations and figures")
-        outcomes: list[Outcome] = []
-        for future in running:
-            outcomes.append(future.result())
-            say(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
-        draws: dict[str, dict[int, dict[str, Any]]] = {}
-        for (key, other), repeated in again.items():
-            draws.setdefault(key, {})[other] = repeated.result()
-            say(f"again with seed {other}: {key}")
-    results = Results.of(outcomes, seed, draws)
+        results = wait_for_results()
     return [
         digest.section(results, random.data),
         misprints.section(),
@@ -75,6 +60,27 @@ def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequ
         triggering.section(results),
         untried.section(results),
     ]
+
+
+def _begin(pool: Executor, pace: Pace, say: Callable[[str], None], seeds: Sequence[int]) -> Callable[[], Results]:
+    """Begin with all experiments; give what waits for their results."""
+    seed, *others = seeds
+    running = [pool.submit(run, trial, pace, seed) for trial in trials()]
+    repeated = [trial for trial in trials() if trial.key in REPEATED]
+    again = {(trial.key, other): pool.submit(at_peaks, trial, pace, other) for other in others for trial in repeated}
+
+    def wait_for_results() -> Results:
+        outcomes: list[Outcome] = []
+        for future in running:
+            outcomes.append(future.result())
+            say(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
+        draws: dict[str, dict[int, dict[str, Any]]] = {}
+        for (key, other), scores in again.items():
+            draws.setdefault(key, {})[other] = scores.result()
+            say(f"again with seed {other}: {key}")
+        return Results.of(outcomes, seed, draws)
+
+    return wait_for_results
 
 
 def at_peaks(trial: Trial, pace: Pace, seed: int) -> dict[str, Any]:

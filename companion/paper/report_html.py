@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from companion.paper.findings import Section
 from companion.paper.report_markdown import SUBTITLE, TITLE
-from companion.reporting.blocks import Block, Findings, Heading, Page, Table
+from companion.reporting.blocks import Block, Findings, Heading, Page
 from companion.reporting.embedding import embed_image
 from companion.reporting.page import render
 
@@ -58,5 +58,5 @@ def _blocks(section: Section) -> list[Block]:
             embed_image(picture.svg.encode(), "svg+xml", picture.title, picture.title, _width_in(picture.svg))
             for picture in section.pictures
         ],
-        *[Table(table.header, table.rows, title=table.title, note=table.note) for table in section.tables],
+        *section.tables,
     ]

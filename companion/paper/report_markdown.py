@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from companion.paper.findings import Section, SectionTable
+from companion.paper.findings import Section
+from companion.reporting.blocks import Table
 
 TITLE = "The paper, reproduced and audited"
 SUBTITLE = (
@@ -25,8 +26,8 @@ def markdown(sections: Iterable[Section]) -> str:
     return "\n".join(lines)
 
 
-def _table(table: SectionTable) -> list[str]:
-    lines = [f"**{table.title}**", "", _row(table.header), _row(["---"] * len(table.header))]
+def _table(table: Table) -> list[str]:
+    lines = [f"**{table.title}**", "", _row(table.heads), _row(["---"] * len(table.heads))]
     lines += [_row(row) for row in table.rows]
     return [*lines, "", table.note] if table.note else lines
 

@@ -12,6 +12,7 @@ import numpy as np
 from companion.evaluation.metrics import rms
 from companion.evaluation.true_geometry import TrueReading
 from companion.paper.experiments import Outcome
+from companion.paper.findings import percent
 from companion.paper.shots import WAYS, ScoredShot
 from companion.records import Floats, Side
 
@@ -84,17 +85,22 @@ def errors(readings: Iterable[TrueReading | None]) -> dict[str, Any]:
     inverse = np.array([reading.inverse_pm for reading in made])
     true = np.array([reading.true_inverse_pm for reading in made])
     met = inverse > 0
-    percent = 100.0 * np.abs(true[met] / inverse[met] - 1.0)
+    off_percent = 100.0 * np.abs(true[met] / inverse[met] - 1.0)
     return {
         "n": len(made),
         "without": len(offered) - len(made),
         "beyond_infinity": int(np.sum(~met)),
-        "rms_percent": rms(percent),
-        "median_percent": _median(percent),
+        "rms_percent": rms(off_percent),
+        "median_percent": _median(off_percent),
         "median_range_m": _median(1.0 / inverse[met]),
         "inverse_rms_pm": rms(inverse - true),
         "inverse_mean_pm": float(np.mean(inverse - true)) if made else float("nan"),
     }
+
+
+def rms_error(scores: Mapping[str, Any], digits: int = 2) -> str:
+    """Rms range error of one way, as :func:`errors` has it, as a percentage of range."""
+    return percent(scores["rms_percent"] / 100, digits)
 
 
 def toe_error_mrad(outcome: Outcome, scores: Mapping[str, Any]) -> tuple[float, float]:

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from companion.paper import printed
-from companion.paper.findings import Section, SectionTable
+from companion.paper.findings import Section
 from companion.paper.loop import WARM_UP_S
 from companion.paper.scores import Results
 from companion.paper.trials import BOOM_PEAK_M, SETTLE_S, wing_amplitude_m
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
+from companion.reporting.blocks import Table
 
 
 def section(results: Results) -> Section:
@@ -33,7 +34,7 @@ def section(results: Results) -> Section:
         "--seeds): every row of one platform has the same errors of belief.",
     )
     tables = (
-        SectionTable("What differs from the paper", ("", "the paper", "here", "because"), _differences(boom, wing)),
+        Table(("", "the paper", "here", "because"), _differences(boom, wing), title="What differs from the paper"),
         _counts(results),
     )
     return Section("setups", "Set-ups: what differs, what did not count", findings, tables, (), _data(results))
@@ -80,7 +81,7 @@ def _pm(belief: Uncertain) -> str:
     return f"{belief.value:g} ± {belief.sigma:g}"
 
 
-def _counts(results: Results) -> SectionTable:
+def _counts(results: Results) -> Table:
     rows = []
     for key, outcome in results.outcomes.items():
         peaks, randoms = results.peaks[key], results.randoms[key]
@@ -95,14 +96,15 @@ def _counts(results: Results) -> SectionTable:
             outcome.trial.title, str(outcome.flown.warm_up), f"{peaks['shots']} + {randoms['shots']}", lost,
             str(without) if without else "-", str(beyond) if beyond else "-", distrusted,
         ))  # fmt: skip
-    return SectionTable(
-        "Shots, and what became of them",
-        ("experiment", "warm-up", "scored: peaks + random", "refused", "no reading", "rigid beyond infinity",
-         "scored, not trusted"),
-        tuple(rows),
-        "Beyond infinity: the axes no longer meet and a range does not exist; such shots count in the error of 1/Z, "
-        "not in percent. Not trusted: scored here, but not published by the service.",
+    heads = (
+        "experiment", "warm-up", "scored: peaks + random", "refused", "no reading", "rigid beyond infinity",
+        "scored, not trusted",
     )  # fmt: skip
+    note = (
+        "Beyond infinity: the axes no longer meet and a range does not exist; such shots count in the error of 1/Z, "
+        "not in percent. Not trusted: scored here, but not published by the service."
+    )
+    return Table(heads, rows, title="Shots, and what became of them", note=note)
 
 
 def _counted_reasons(counts: Mapping[str, int]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.paper import printed
 from companion.paper.bench import Drive
-from companion.paper.range_tables import toe_rad, wide_factor
+from companion.paper.range_tables import exact_toe_rad
 from companion.params.files import load_airframe
 from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, PullUp, Roll
 
@@ -73,8 +73,7 @@ def flight_plan(trial: Trial, pace: Pace) -> FlightPlan:
 def wing_amplitude_m() -> float:
     """Deflection amplitude that gives the mean of Table 3's exact angles at a peak, half at each camera."""
     factor = load_airframe("paper-flying-wing").wing.symmetric.slope_factor_radpm.value
-    angles = [toe_rad(e.still_m, e.vibrating_m) / wide_factor(e.still_m) for e in printed.OBJECTS]
-    return float(np.mean(angles)) / (2.0 * factor)
+    return float(np.mean([exact_toe_rad(entry) for entry in printed.OBJECTS])) / (2.0 * factor)
 
 
 def trials() -> tuple[Trial, ...]:

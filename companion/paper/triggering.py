@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from companion.paper.drawing import BLUE, ORANGE, draw
-from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
-from companion.paper.scores import Results, toe_error_mrad
+from companion.paper.findings import Section, SectionPicture, number
+from companion.paper.scores import Results, rms_error, toe_error_mrad
+from companion.reporting.blocks import Table
 
 _WAYS = ("rigid", "corrected", "oracle")
 
@@ -22,16 +23,16 @@ def section(results: Results) -> Section:
     steady, random = peaks["wing_60m"]["phase_median_deg"], peaks["wing_random"]["phase_median_deg"]
     largest_px = float(np.nanmax([scores["blur_median_px"] for scores in randoms.values()]))
     findings = (
-        f"At 60 m correction without triggering leaves {percent(far['corrected']['rms_percent'] / 100)}, with it "
-        f"{percent(near['corrected']['rms_percent'] / 100)}: with a smoother at the measured exposure, the instant "
+        f"At 60 m correction without triggering leaves {rms_error(far['corrected'])}, with it "
+        f"{rms_error(near['corrected'])}: with a smoother at the measured exposure, the instant "
         "matters little for the angle.",
         f"What triggering buys is blur: {gain[0]:.1f} times less under a sine, {gain[1]:.1f} times under random load. "
         f"Shots lie {steady:.1f} degrees of phase from the peak under a sine and {random:.0f} under random load "
         f"(medians; {randoms['wing_random']['phase_median_deg']:.0f} at random instants), where two modes never stand "
         "still together.",
         "A peak is the worst instant for a pair that is not corrected: there the toe is largest "
-        f"({percent(near['rigid']['rms_percent'] / 100, 1)} of error at peaks, "
-        f"{percent(far['rigid']['rms_percent'] / 100, 1)} at random instants).",
+        f"({rms_error(near['rigid'], 1)} of error at peaks, "
+        f"{rms_error(far['rigid'], 1)} at random instants).",
         f"Even so, blur by bending is small in these set-ups (largest median {largest_px:.2f} px), and the "
         f"features are found as well either way: true extrinsics leave at most {_largest_oracle(results):.4f} mrad at "
         "peaks or at random.",
@@ -49,7 +50,7 @@ def _largest_oracle(results: Results) -> float:
     )
 
 
-def _table(results: Results) -> SectionTable:
+def _table(results: Results) -> Table:
     rows = []
     for key, outcome in results.outcomes.items():
         for name, scores in (("peaks", results.peaks[key]), ("random", results.randoms[key])):
@@ -59,15 +60,14 @@ def _table(results: Results) -> SectionTable:
                 *(number(math.hypot(*toe_error_mrad(outcome, scores[way])), 2) for way in _WAYS),
                 str(scores["shots"]),
             ))  # fmt: skip
-    return SectionTable(
-        "Triggered at peaks against random instants",
-        ("experiment", "fired at", "blur, px", "phase, deg", "error, mrad: rigid", "corrected", "oracle", "shots"),
-        tuple(rows),
+    heads = ("experiment", "fired at", "blur, px", "phase, deg", "error, mrad: rigid", "corrected", "oracle", "shots")
+    note = (
         "Blur (median) is what bending alone moves the image in the worse camera over the exposure; phase (median) is "
         "0 where that camera's slope turns. At peaks and rigid is the paper's starting point; at random instants and "
         "corrected is correction without triggering. Errors are rms over the shots, as relative toe "
-        "B (1/Z' - 1/Z).",
+        "B (1/Z' - 1/Z)."
     )
+    return Table(heads, rows, title="Triggered at peaks against random instants", note=note)
 
 
 def _blur(results: Results) -> SectionPicture:

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.paper.findings import Section, SectionTable, number, percent
-from companion.paper.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
+from companion.paper.findings import Section, number, percent
+from companion.paper.scores import Results, one_tip_toe_error_mrad, rms_error, toe_error_mrad
+from companion.paper.shots import WAYS
 from companion.params.files import load_airframe
 from companion.records import Side
+from companion.reporting.blocks import Table
 
 _FORWARD_SLOPE_RAD = 0.00225  # chosen: half of 4.5 mrad, a peak's angle (4.3 to 5.5 in Table 3)
-_WAYS = ("rigid", "in_trim", "corrected", "published", "oracle")
 
 
 def section(results: Results) -> Section:
@@ -64,11 +65,11 @@ def _of_antisymmetry(scores: Any, tips: dict[str, float]) -> str:
     vertical, six = scores["antisymmetric"], scores["antisymmetric_six"]
     return (
         "Antisymmetric bending turns both cameras the same way, and no toe comes of it: the paper's wing without any "
-        f"correction is off by {percent(vertical['rigid']['rms_percent'] / 100)}. Correcting costs "
-        f"{percent(vertical['corrected']['rms_percent'] / 100)} there with one vertical accelerometer per tip, whose "
+        f"correction is off by {rms_error(vertical['rigid'])}. Correcting costs "
+        f"{rms_error(vertical['corrected'])} there with one vertical accelerometer per tip, whose "
         "scales and stamps differ between the tips, "
-        f"and {percent(six['corrected']['rms_percent'] / 100)} with six-axis nodes (in trim, uncorrected: "
-        f"{percent(six['in_trim']['rms_percent'] / 100)}). A correction by one tip's accelerometer, taken for "
+        f"and {rms_error(six['corrected'])} with six-axis nodes (in trim, uncorrected: "
+        f"{rms_error(six['in_trim'])}). A correction by one tip's accelerometer, taken for "
         f"symmetric as in the paper, would put in {tips['antisymmetric']:.1f} mrad rms of its own, "
         f"{percent(1e-3 * tips['antisymmetric'] * 60.0 / 1.98, 0)} of range at 60 m."
     )
@@ -78,33 +79,33 @@ def _of_looking_forward(ahead: dict[str, Any], disparity_px: float, parallax_px:
     return (
         f"Cameras that look forward: bending is roll. {2e3 * _FORWARD_SLOPE_RAD:.1f} mrad of it moves disparity by up "
         f"to {disparity_px:.2f} px at the upper and lower edge and adds {parallax_px:.2f} px of vertical parallax at "
-        "the sides. A range from the whole image barely notices "
-        f"({percent(ahead['rigid']['rms_percent'] / 100)} rigid, "
-        f"{percent(ahead['corrected']['rms_percent'] / 100)} corrected); one from its upper third does "
-        f"({percent(ahead['rigid_upper_third']['rms_percent'] / 100)} and "
-        f"{percent(ahead['corrected_upper_third']['rms_percent'] / 100)})."
+        f"the sides. A range from the whole image barely notices ({rms_error(ahead['rigid'])} rigid, "
+        f"{rms_error(ahead['corrected'])} corrected); one from its upper third does "
+        f"({rms_error(ahead['rigid_upper_third'])} and {rms_error(ahead['corrected_upper_third'])})."
     )
 
 
-def _table(results: Results) -> SectionTable:
+def _table(results: Results) -> Table:
     rows = []
     for key in results.untried:
         scores = results.randoms[key]
         outcome = results.outcomes[key]
-        errors = (_spread(*toe_error_mrad(outcome, scores[way])) for way in _WAYS)
+        errors = (_spread(*toe_error_mrad(outcome, scores[way])) for way in WAYS)
         median = percent(scores["published"]["median_percent"] / 100)
         counts = f"{scores['shots']} / {scores['trusted']}"
         rows.append((outcome.trial.title, number(scores["toe_rms_mrad"], 3), *errors, median, counts))
-    return SectionTable(
-        "What the paper did not try (random instants): error as relative toe, mrad, mean ± spread",
-        ("experiment", "toe beyond 1 g, rms", "rigid", "rigid in trim", "corrected", "published", "oracle",
-         "published, median of range", "shots / trusted"),
-        tuple(rows),
+    heads = (
+        "experiment", "toe beyond 1 g, rms", "rigid", "rigid in trim", "corrected", "published", "oracle",
+        "published, median of range", "shots / trusted",
+    )  # fmt: skip
+    note = (
         "The mean is the slow part (trim, tilt bias, calibration), the spread what moves. Rigid in trim: calibrated in "
         "level flight at 1 g, nothing that moves. Corrected: by the wing's sensors. Published: what leaves the "
         "service, which also asks the matched features. All but the first carry six-axis wing nodes and the "
-        "calibration errors that their airframe files state.",
-    )  # fmt: skip
+        "calibration errors that their airframe files state."
+    )
+    title = "What the paper did not try (random instants): error as relative toe, mrad, mean ± spread"
+    return Table(heads, rows, title=title, note=note)
 
 
 def _spread(mean: float, spread: float) -> str:

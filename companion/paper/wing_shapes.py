@@ -12,11 +12,12 @@ from companion.core.wing.shapes import WingShape
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREY, ORANGE, RED, draw
 from companion.paper.edge_fits import CAMERA_M, WHOLE_DEGREE, Fitted, clamped_factor, fit_edges
-from companion.paper.findings import Section, SectionPicture, SectionTable, deviation, number, percent
+from companion.paper.findings import Section, SectionPicture, deviation, number, percent
 from companion.paper.modal_peaks import GVT_TIP_CHORD_M, gvt_folder, measured_points
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.paper.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
 from companion.params.files import load_airframe
+from companion.reporting.blocks import Table
 from companion.reporting.plotting import INK, dots
 
 
@@ -95,23 +96,23 @@ def _measured_where_present() -> tuple[Fitted | None, dict[str, Any] | None, str
     return real, *_measured(real)
 
 
-def _polynomial_table(ways: dict[str, tuple[float, float]]) -> SectionTable:
-    return SectionTable(
-        "What a polynomial makes of the slope at the camera",
+def _polynomial_table(ways: dict[str, tuple[float, float]]) -> Table:
+    return Table(
         ("fit", "mean deviation", "spread"),
         tuple((name, percent(mean, 1), percent(spread, 1)) for name, (mean, spread) in ways.items()),
-        f"{TESTS} simulated tests, {len(STATIONS_M)} stations on each half of each edge.",
+        title="What a polynomial makes of the slope at the camera",
+        note=f"{TESTS} simulated tests, {len(STATIONS_M)} stations on each half of each edge.",
     )
 
 
-def _fit_table(rows: list[tuple[str, ...]]) -> SectionTable:
+def _fit_table(rows: list[tuple[str, ...]]) -> Table:
     residual = "fit residual / tip, leading"
     header = ("wing", "resonances, Hz", residual, "trailing", "slope factor, rad/m", "times semispan")
     note = (
         f"Polynomials of degree {WHOLE_DEGREE} over both halves, as the paper fits them; deflection counts from the "
         "root, as the cameras' pose does."
     )
-    return SectionTable("Polynomial fits of modal peaks", header, tuple(rows), note)
+    return Table(header, rows, title="Polynomial fits of modal peaks", note=note)
 
 
 def _measured(real: Fitted) -> tuple[dict[str, Any], str]:
