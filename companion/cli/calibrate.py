@@ -23,6 +23,7 @@ from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
 from companion.cli.steps.options import check_output, result_folder
 from companion.errors import ConfigError
+from companion.evaluation.metrics import rms
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
@@ -143,8 +144,8 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     print(f"wrote {options.out / 'report.html'} and report.png")
     if rehearsal is not None:
         off = np.abs(errors_in_sigmas(fit, rehearsal.airframe))
-        rms, worst = float(np.sqrt(np.mean(off**2))), float(off.max())
-        print(f"against the simulated truth: error over sigma {rms:.2f} rms over 24 parameters, {worst:.2f} at most")
+        text = f"error over sigma {rms(off):.2f} rms over 24 parameters, {off.max():.2f} at most"
+        print(f"against the simulated truth: {text}")
     return airframe
 
 

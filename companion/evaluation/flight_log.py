@@ -148,32 +148,38 @@ class FlightLog:
 
     def spectrum(self, station: Station) -> Spectrum | None:
         """Welch's mean over the flight, None for fewer than two segments or an unknown rate."""
-        stream = self.info.streams.get(station)
-        if stream is None or stream.rate_hz is None:
+        power = self._power(station, SPECTRUM_SEGMENT_S)
+        if power is None:
             return None
-        values = np.concatenate(self._vertical[station])
-        length = int(SPECTRUM_SEGMENT_S * stream.rate_hz)
-        if len(values) < 2 * length:
-            return None
-        f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
         summaries = [self.mode(name) for name in FAMILIES]
-        modes_hz = [summary.frequency_hz for summary in summaries if summary is not None]
-        return Spectrum(np.asarray(f_hz), np.asarray(density), tuple(modes_hz))
+        return Spectrum(*power, tuple(summary.frequency_hz for summary in summaries if summary is not None))
 
     def noise_density(self, station: Station) -> float | None:
         """Noise of the vertical accelerometer, (m/s^2)/sqrt(Hz): the median of its spectrum above the wing's motion.
 
         Lines of propulsion raise few bins and no median. None for less than two seconds or an unknown rate.
         """
-        stream = self.info.streams.get(station)
-        if stream is None or stream.rate_hz is None:
+        power, rate_hz = self._power(station, 1.0), self._rate_hz(station)
+        if power is None or rate_hz is None:
             return None
-        values, length = np.concatenate(self._vertical[station]), int(stream.rate_hz)
+        f_hz, density = power
+        low_hz, high_hz = (ratio * 0.5 * rate_hz for ratio in _NOISE_BAND)
+        return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
+
+    def _rate_hz(self, station: Station) -> float | None:
+        stream = self.info.streams.get(station)
+        return None if stream is None else stream.rate_hz
+
+    def _power(self, station: Station, segment_s: float) -> tuple[Floats, Floats] | None:
+        """Welch's frequencies and power density of the vertical acceleration; None for fewer than two segments."""
+        rate_hz = self._rate_hz(station)
+        if rate_hz is None:
+            return None
+        values, length = np.concatenate(self._vertical[station]), int(segment_s * rate_hz)
         if length < 2 or len(values) < 2 * length:
             return None
-        f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
-        low_hz, high_hz = (ratio * 0.5 * stream.rate_hz for ratio in _NOISE_BAND)
-        return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
+        f_hz, density = signal.welch(values - values.mean(), rate_hz, nperseg=length)
+        return np.asarray(f_hz), np.asarray(density)
 
     def blur_px(self) -> tuple[Floats, Floats]:
         """Predicted blur (n,) of each plan to fire, px, and the last range (n,) when made, m (NaN before any)."""

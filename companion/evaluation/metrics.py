@@ -82,7 +82,7 @@ def spread(values: Floats, scale: float = 1.0) -> dict[str, float]:
     magnitude = np.abs(values) * scale
     return {
         "n": len(values),
-        "rms": float(np.sqrt(np.mean(magnitude**2))),
+        "rms": rms(magnitude),
         "median": float(np.median(magnitude)),
         "p95": float(np.percentile(magnitude, 95)),
     }
@@ -112,6 +112,6 @@ def range_summary(scored: Scored) -> dict[str, object]:
         for name, rank in (("median", 50), ("p95", 95)):
             value = float(np.percentile(error, rank, method="lower")) if len(error) else float("nan")
             entry[name] = value if np.isfinite(value) else None
-        entry["rms"] = float(np.sqrt(np.mean(error**2))) if len(error) and finite.all() else None
+        entry["rms"] = rms(error) if len(error) and finite.all() else None
         result[f"{distance_m:g}"] = entry
     return result

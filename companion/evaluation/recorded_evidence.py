@@ -29,6 +29,11 @@ def airframe_of(name: str | None, recordings: list[str]) -> Airframe:
     return open_recording(Path(recordings[0])).airframe
 
 
+def open_mapped(path: Path, airframe: Airframe, mapping: TableMapping | None) -> Recording:
+    """Open a recording; a table in another layout through its mapping."""
+    return MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
+
+
 def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) -> RawRecording:
     """Read one recording; a table in another layout through its mapping.
 
@@ -37,7 +42,7 @@ def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) ->
     RecordingError
         It cannot be read, has no wing accelerometer, or two tips of the same samples.
     """
-    recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
+    recording = open_mapped(path, airframe, mapping)
     streams = _streams(recording)
     tips = {side: _tip(streams[station]) for station, side in _SIDES.items() if station in streams}
     if not tips:

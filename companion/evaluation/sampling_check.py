@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording_factory import open_recording
-from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of
 from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.diagnosis.data.segments import REQUIREMENT, segments_of
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.findings_output import write_findings
+from companion.evaluation.recorded_evidence import open_mapped
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.airframe import Airframe
 from companion.records import Axis, Floats, ImuBatch, Ints, Station
@@ -39,14 +38,14 @@ class StreamTiming:
 
     station: str
     samples: int
-    rate_hz: float
-    step_p1_ms: float
-    step_p50_ms: float
-    step_p99_ms: float
-    gaps: int
-    longest_gap_ms: float
-    longest_stretch_s: float
-    usable_s: float
+    rate_hz: float = 0.0
+    step_p1_ms: float = 0.0
+    step_p50_ms: float = 0.0
+    step_p99_ms: float = 0.0
+    gaps: int = 0
+    longest_gap_ms: float = 0.0
+    longest_stretch_s: float = 0.0
+    usable_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +85,7 @@ def paths_of(recordings: Sequence[str], mapping: TableMapping | None) -> list[Pa
 
 def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) -> Timing:
     """Read a recording's stamps."""
-    recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
+    recording = open_mapped(path, airframe, mapping)
     stamps: dict[Station, list[Ints]] = {}
     has_tip = False
     stations = StationAnalysis(recording.airframe)
@@ -96,14 +95,13 @@ def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) 
             stamps.setdefault(record.station, []).append(record.t_ns)
             has_tip |= record.station is not Station.ROOT and bool(record.axes & Axis.Z)
     streams = tuple(_evenness(station, np.concatenate(parts)) for station, parts in sorted(stamps.items()))
-    return Timing(
-        path, streams, has_tip, tuple(notice.text for notice in recording.notices), tuple(stations.sentences())
-    )
+    notes = tuple(notice.text for notice in recording.notices)
+    return Timing(path, streams, has_tip, notes, tuple(stations.sentences()))
 
 
 def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
     if len(np.unique(t_ns)) < _FEWEST:
-        return StreamTiming(station.name.lower(), len(t_ns), 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
+        return StreamTiming(station.name.lower(), len(t_ns))
     steps_ms: Floats = np.diff(np.unique(t_ns)).astype(np.float64) * 1e-6
     usual = float(np.median(steps_ms))
     wide = np.flatnonzero(steps_ms > _GAP_RATIO * usual)
@@ -182,11 +180,5 @@ def _page(plain: dict[str, Any]) -> str:
         Table(heads, _rows(plain)),
         *[Paragraph(note) for note in plain["notes"]],
     ]
-    return render(
-        Page(
-            title="Diagnosis: not-identifiable",
-            headline=f"not identifiable from this recording: {plain['reason']}",
-            body=body,
-            grade="not-identifiable",
-        )
-    )
+    headline = f"not identifiable from this recording: {plain['reason']}"
+    return render(Page("Diagnosis: not-identifiable", headline, body, grade="not-identifiable"))

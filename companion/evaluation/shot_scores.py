@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.metrics import SETTLED_S, Scored
+from companion.evaluation.metrics import SETTLED_S, Scored, rms
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.replay import drive
 from companion.evaluation.true_geometry import TrueGeometry, TrueReading
@@ -72,17 +72,16 @@ def collect(records: Iterable[Record]) -> PipelineOutputs:
 
 def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> PipelineOutputs:
     """Outputs of the pipeline for these inputs."""
-    records_made: list[Record] = []
+    made: list[Record] = []
 
     def watched() -> Iterator[Record]:
         for record in inputs:
             if isinstance(record, MatchSet):
-                records_made.append(record)
+                made.append(record)
             yield record
 
-    for output in drive(watched(), airframe, settings, None):
-        records_made.append(output)
-    return collect(records_made)
+    made.extend(drive(watched(), airframe, settings, None))
+    return collect(made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +124,7 @@ def paired(shots: Shots, other: Shots) -> dict[str, Any]:
     error, other_error = (run.ways["corrected"].toe_error_rad[at] for run, at in ((shots, ours), (other, theirs)))
     comparison: dict[str, Any] = {"n": len(ours), "same": len(ours) == len(shots.ids) == len(other.ids)}
     if len(ours):
-        comparison["rms_mrad"] = {name: 1e3 * float(np.sqrt(np.mean(e**2))) for name, e in
-                             (("corrected", error), ("other", other_error))}  # fmt: skip
+        comparison["rms_mrad"] = {"corrected": 1e3 * rms(error), "other": 1e3 * rms(other_error)}
         comparison["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
     return comparison
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from companion.evaluation.metrics import FAST_HZ, SETTLED_S, spread
+from companion.evaluation.metrics import FAST_HZ, SETTLED_S, rms, spread
 from companion.records import Floats, Ints, MatchSet, TriggerPlan
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import MODAL, STEP_NS
@@ -45,8 +45,7 @@ def true_peaks(flight: Flight) -> Peaks:
     band = butter(2, np.array(_BAND) * frequency_hz, "bandpass", fs=rate_hz, output="sos")
     toe = truth.knots[:, MODAL] @ truth.shape.slope_radpm.sum(axis=0)
     fast = np.asarray(sosfiltfilt(butter(2, FAST_HZ, "highpass", fs=rate_hz, output="sos"), toe))
-    least = float(np.sqrt(np.mean(fast**2)))
-    stands_out = [find_peaks(sign * fast, prominence=least)[0] for sign in (1.0, -1.0)]
+    stands_out = [find_peaks(sign * fast, prominence=rms(fast))[0] for sign in (1.0, -1.0)]
     toe_s: Floats = np.sort(np.concatenate(stands_out)) * np.float64(STEP_NS * 1e-9)
     return Peaks(_extremes_s(np.asarray(sosfiltfilt(band, modal)), STEP_NS * 1e-9), toe_s)
 

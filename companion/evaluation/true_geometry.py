@@ -17,7 +17,6 @@ from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_dep
 from companion.core.stereo.lens_residual import LensAxes, straightened
 from companion.core.stereo.ranging import divergence, orientation_axis
 from companion.core.stereo.triangulation import Rays, match_rays, range_axis_of_rig, triangulate
-from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
@@ -59,7 +58,10 @@ class TrueGeometry:
     def rigid_in_trim(self, matches: MatchSet) -> TrueReading | None:
         """Rigid stereo that was calibrated in level flight: the believed trim bend, and nothing that moves."""
         wing = self.flight.airframe.wing
-        still = _deflection(int(matches.mid_exposure_ns[0]), wing.trim_bend_m.value, self.flight.airframe)
+        bend_m = wing.trim_bend_m.value
+        slope_rad = np.full(2, wing.symmetric.slope_factor_radpm.value * bend_m)
+        t_ns = int(matches.mid_exposure_ns[0])
+        still = _deflection(t_ns, np.array([bend_m, 0.0]), np.zeros(2), slope_rad, np.zeros(3))
         return self._read(matches, self._belief, exposures(self._belief, self._tips, still, still))
 
     def corrected(
@@ -79,9 +81,7 @@ class TrueGeometry:
 
     def oracle(self, matches: MatchSet) -> TrueReading | None:
         """The true extrinsics and lenses."""
-        left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
-        rig = self.pair.rig
-        return self._read(matches, rig, exposures(rig, self._true_tips, left, right, self._velocity_mps(matches)))
+        return self._read(matches, self.pair.rig, self._true_exposures(matches))
 
     def true_toe_rad(self, matches: MatchSet) -> float:
         """Divergence at the exposures of where the middles of both images look, beyond the ground calibration's.
@@ -90,8 +90,7 @@ class TrueGeometry:
         the plane of the baseline as flown. The middle is the pixel that the belief has on the optical axis: a principal
         point that is off, with the camera turned so that the calibration's board was where it was, is no toe.
         """
-        left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
-        moving = exposures(self.pair.rig, self._true_tips, left, right, self._velocity_mps(matches))
+        moving = self._true_exposures(matches)
         left_ray, right_ray = (
             self.pair.rig.camera(side).lens.unproject(self._belief.camera(side).lens.matrix[None, :2, 2])[0]
             for side in Side
@@ -110,6 +109,10 @@ class TrueGeometry:
         reach_m = float(self.pair.scene.hit(origin_m, (body.body_from_ned.T @ sight.axis)[np.newaxis])[0])
         return reach_m if np.isfinite(reach_m) else float("nan")
 
+    def _true_exposures(self, matches: MatchSet) -> tuple[CameraExposure, CameraExposure]:
+        left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
+        return exposures(self.pair.rig, self._true_tips, left, right, self._velocity_mps(matches))
+
     def _between_ns(self, matches: MatchSet) -> int:
         """Instant midway between the exposures, since boot."""
         left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
@@ -123,15 +126,8 @@ class TrueGeometry:
     def true_deflection(self, t_host_ns: int) -> Deflection:
         """The wing as it really was, as an estimate without error."""
         sample = self.flight.truth.at(t_host_ns - self.start_host_ns)
-        return Deflection(
-            t_host_ns=t_host_ns,
-            q_m=by_family(sample.q_m),
-            qdot_mps=by_family(sample.qdot_mps),
-            slope_rad=sample.slope_rad,
-            covariance=np.zeros((6, 6)),
-            body_rate_radps=sample.body_rate_radps,
-            lag_ns=0,
-            slow_slope_sigma_rad=0.0,
+        return _deflection(
+            t_host_ns, by_family(sample.q_m), by_family(sample.qdot_mps), sample.slope_rad, sample.body_rate_radps
         )
 
     def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> TrueReading | None:
@@ -163,15 +159,17 @@ class TrueGeometry:
         return inverse
 
 
-def _deflection(t_host_ns: int, q_m: float, airframe: Airframe) -> Deflection:
-    slope = airframe.wing.symmetric.slope_factor_radpm.value * q_m
+def _deflection(
+    t_host_ns: int, q_m: Floats, qdot_mps: Floats, slope_rad: Floats, body_rate_radps: Floats
+) -> Deflection:
+    """A wing that is known without error."""
     return Deflection(
         t_host_ns=t_host_ns,
-        q_m=np.array([q_m, 0.0]),
-        qdot_mps=np.zeros(2),
-        slope_rad=np.array([slope, slope]),
+        q_m=q_m,
+        qdot_mps=qdot_mps,
+        slope_rad=slope_rad,
         covariance=np.zeros((6, 6)),
-        body_rate_radps=np.zeros(3),
+        body_rate_radps=body_rate_radps,
         lag_ns=0,
         slow_slope_sigma_rad=0.0,
     )

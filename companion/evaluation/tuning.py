@@ -18,6 +18,7 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
+from companion.evaluation.metrics import rms
 from companion.evaluation.replay import drive, own_inputs
 from companion.params.settings import Settings, tunables
 from companion.records import ClockName, CorrectedRange, Firing, ParameterChange, Record, Shot, Tick, TriggerPlan
@@ -171,7 +172,7 @@ def scatter(trusted: list[CorrectedRange]) -> float:
         for before, after in itertools.pairwise(trusted)
         if after.t_host_ns - before.t_host_ns <= _NEIGHBOURS_S * 1e9
     ]
-    return float(np.sqrt(np.mean(np.square(pairs)))) if pairs else 0.0
+    return rms(pairs) if pairs else 0.0
 
 
 def verdict_of(flown: TrialOutcome, tried: TrialOutcome) -> tuple[bool, str]:

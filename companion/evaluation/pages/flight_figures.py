@@ -11,7 +11,7 @@ import numpy as np
 from companion.evaluation.flight_log import FlightLog, Spectrum
 from companion.evaluation.recording_info import AT_THE_END
 from companion.params.airframe import FAMILIES
-from companion.records import ClockName, Floats, ModeEstimate, ModeState, Reject, Station
+from companion.records import ClockName, Floats, ModeEstimate, Reject, Station
 from companion.reporting.plotting import (
     BLUE,
     GREEN,
@@ -36,14 +36,16 @@ _TOP_HZ = 200.0  # beyond, no airframe of ours has a mode (choice)
 _ON_CURVES = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # behind a label that may lie on a curve
 
 
-def _figure(height_in: float) -> Any:
-    return new_figure(_WIDTH_IN, height_in)
+def _figure(height_in: float, text: str) -> Any:
+    """Empty figure with its headline."""
+    figure = new_figure(_WIDTH_IN, height_in)
+    headline(figure, text)
+    return figure
 
 
 def ranges(log: FlightLog, text: str) -> Any:
     """Rigid against corrected ranges with sigma, and the toe that was taken out."""
-    figure = _figure(6.2)
-    headline(figure, text)
+    figure = _figure(6.2, text)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     t_s = (np.array([entry.t_host_ns for entry in log.ranges]) - log.start_host_ns) * 1e-9
     trusted = np.array([entry.trusted for entry in log.ranges])
@@ -66,13 +68,12 @@ def ranges(log: FlightLog, text: str) -> Any:
 
 def modes(log: FlightLog, text: str) -> Any:
     """Frequency, damping and rms vibration of the first modes over time, each with its sigma as a band."""
-    figure = _figure(6.2)
-    headline(figure, text)
+    figure = _figure(6.2, text)
     frequency, damping, deflection = figure.subplots(3, 1, sharex=True)
     tracked = log.tracked()
     t_s = (np.array([mode.t_host_ns for mode in tracked]) - log.start_host_ns) * 1e-9
-    for name, colour in (("symmetric", BLUE), ("antisymmetric", ORANGE)):
-        family = [_family(mode, name) for mode in tracked]
+    for name, colour in zip(FAMILIES, (BLUE, ORANGE), strict=True):
+        family = [getattr(mode, name) for mode in tracked]
         _band(frequency, t_s, family, ("frequency_hz", "frequency_sigma_hz"), 1.0, colour, name)
         _band(damping, t_s, family, ("damping", "damping_sigma"), 1.0, colour, name)
         _band(deflection, t_s, family, ("rms_m", "amplitude_sigma_m"), _MM, colour, name)
@@ -81,10 +82,6 @@ def modes(log: FlightLog, text: str) -> Any:
     deflection.set(ylabel="vibration, mm rms", xlabel="time, s", ylim=(0.0, None))
     damping.legend(fontsize=8, ncols=2, loc="best", title="first modes, ±1 sigma", title_fontsize=8)
     return figure
-
-
-def _family(mode: ModeState, name: str) -> ModeEstimate:
-    return mode.symmetric if name == "symmetric" else mode.antisymmetric
 
 
 def _band(
@@ -97,8 +94,7 @@ def _band(
 
 def spectra(log: FlightLog, by_station: Mapping[Station, Spectrum], text: str) -> Any:
     """Vertical acceleration of root and tips; the tracked modes and sharp lines are marked."""
-    figure = _figure(4.2)
-    headline(figure, text)
+    figure = _figure(4.2, text)
     axis = figure.subplots()
     top_hz = 1.0
     for station, colour in _STATIONS.items():
@@ -110,24 +106,27 @@ def spectra(log: FlightLog, by_station: Mapping[Station, Spectrum], text: str) -
         axis.loglog(spectrum.f_hz[shown], spectrum.density[shown], color=colour, lw=1.1, label=station.name.lower())
         for line_hz in spectrum.lines_hz():
             axis.axvline(line_hz, color=colour, lw=0.7, ls=":")
-    summaries = [(name, log.mode(name)) for name in FAMILIES]
-    tracked = sorted((mode.frequency_hz, name) for name, mode in summaries if mode is not None)
-    if tracked:
-        for (mode_hz, name), align, offset in zip(tracked, ("right", "left"), (-4, 4), strict=True):
-            axis.axvline(mode_hz, color=INK, lw=1.0, ls="--" if name == "symmetric" else "-.")
-            axis.annotate(
-                f"{name} {mode_hz:.2f} Hz", (mode_hz, 0.5), (offset, 0), fontsize=8, ha=align, va="center",
-                xycoords=("data", "axes fraction"), textcoords="offset points", bbox=_ON_CURVES,
-            )  # fmt: skip
+    _mark_modes(axis, log)
     axis.set(xlabel="frequency, Hz", ylabel="(m/s²)²/Hz", xlim=(0.2, top_hz))
     axis.legend(fontsize=8, loc="lower left")
     return figure
 
 
+def _mark_modes(axis: Any, log: FlightLog) -> None:
+    """A line and a name at each tracked mode; the wing tracks both families or none."""
+    summaries = [(name, log.mode(name)) for name in FAMILIES]
+    tracked = sorted((mode.frequency_hz, name) for name, mode in summaries if mode is not None)
+    for (mode_hz, name), align, offset in zip(tracked, ("right", "left"), (-4, 4), strict=False):
+        axis.axvline(mode_hz, color=INK, lw=1.0, ls="--" if name == "symmetric" else "-.")
+        axis.annotate(
+            f"{name} {mode_hz:.2f} Hz", (mode_hz, 0.5), (offset, 0), fontsize=8, ha=align, va="center",
+            xycoords=("data", "axes fraction"), textcoords="offset points", bbox=_ON_CURVES,
+        )  # fmt: skip
+
+
 def triggers(log: FlightLog, text: str) -> Any:
     """Delay from planned to fired, and the blur that the plans foretold."""
-    figure = _figure(3.2)
-    headline(figure, text)
+    figure = _figure(3.2, text)
     delay, blur = figure.subplots(1, 2)
     delays_us = _US * np.array(log.delays_s)
     delay.hist(np.clip(delays_us, *np.percentile(delays_us, (0.5, 99.5))) if len(delays_us) else [], 40, color=BLUE)
@@ -153,8 +152,7 @@ def blur_by_nearness(blur_px: Floats, range_m: Floats) -> dict[str, Floats]:
 
 def clocks(log: FlightLog, text: str) -> Any:
     """Error bound of each remote clock over time."""
-    figure = _figure(3.0)
-    headline(figure, text)
+    figure = _figure(3.0, text)
     axis = figure.subplots()
     by_clock: dict[ClockName, list[tuple[float, float]]] = defaultdict(list)
     for state in log.clocks:
@@ -172,8 +170,7 @@ def clocks(log: FlightLog, text: str) -> Any:
 def refusals(log: FlightLog, text: str) -> Any:
     """Every refusal and every withheld range at its time, one row a reason."""
     rows = refusals_by_reason(log)
-    figure = _figure(0.9 + 0.28 * max(len(rows), 2))
-    headline(figure, text)
+    figure = _figure(0.9 + 0.28 * max(len(rows), 2), text)
     axis = figure.subplots()
     for row, (reason, (count, t_s)) in enumerate(sorted(rows.items(), key=lambda entry: entry[1][0])):
         axis.plot(t_s, np.full(len(t_s), row), "|", ms=9, color=VERMILLION)
