@@ -21,7 +21,7 @@ from companion.evaluation.station_tones import StationAnalysis
 from companion.params.airframe import Airframe
 from companion.records import Axis, Floats, ImuBatch, Ints, Station
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
-from companion.reporting.page import render
+from companion.reporting.page import capitalised, render
 
 _GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
 _FASTEST_HZ = 2e4  # chosen: no accelerometer on a wing is sampled so fast: the unit of its stamps is another
@@ -175,7 +175,7 @@ def _print_findings(plain: dict[str, Any]) -> None:
 def _page(plain: dict[str, Any]) -> str:
     heads = ["recording", "station", "rate", "steps (1 to 99 %)", "gaps", "longest", "unbroken"]
     body: list[Block] = [
-        *[Advice(f"{line[:1].upper()}{line[1:]}.") for line in plain["advice"]],
+        *[Advice(f"{capitalised(line)}.") for line in plain["advice"]],
         Heading("How evenly it was sampled"),
         Table(heads, _rows(plain)),
         *[Paragraph(note) for note in plain["notes"]],

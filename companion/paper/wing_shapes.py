@@ -18,6 +18,7 @@ from companion.paper.range_tables import toe_rad, wide_factor
 from companion.paper.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
 from companion.params.files import load_airframe
 from companion.reporting.blocks import Table
+from companion.reporting.page import capitalised
 from companion.reporting.plotting import INK, dots
 
 
@@ -181,7 +182,7 @@ def _draw(
             bottom.set_xlabel("span station, m (right positive)")
 
     title = f"Figs. 9 and 10, {name}: edge fits (left), scaled shape and slope (right)"
-    said = f"{name[:1].upper()}{name[1:]}: {number(factor_radpm)} rad of slope per metre of tip deflection"
+    said = f"{capitalised(name)}: {number(factor_radpm)} rad of slope per metre of tip deflection"
     return draw(title, 2, 2, paint, 2.4, said=said)
 
 

@@ -35,6 +35,11 @@ def render(page: Page, typeset: Typeset | None = None) -> str:
     return str(template.render(page=page))
 
 
+def capitalised(text: str) -> str:
+    """The text with a capital first letter; the others stay as they are."""
+    return text[:1].upper() + text[1:]
+
+
 def numeric_columns(table: Table) -> list[bool]:
     """Whether each column of a table holds figures alone; names in the first column count as text, digits or not."""
     columns = list(zip(*table.rows, strict=True)) or [()] * len(table.heads)
@@ -53,7 +58,7 @@ def _environment(typeset: Typeset | None) -> Any:
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     symbols = typeset or str
     environment.filters["typeset"] = lambda text: markup(symbols(html.escape(str(text), quote=False)))
-    environment.filters["capitalised"] = lambda text: text[:1].upper() + text[1:]
+    environment.filters["capitalised"] = capitalised
     environment.filters["numeric_columns"] = numeric_columns
     style = (files("companion.reporting") / _TEMPLATES / "style.css").read_text(encoding="utf-8")
     environment.globals["style"] = markup(style)

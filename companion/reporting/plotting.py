@@ -45,6 +45,15 @@ def new_figure(width_in: float, height_in: float) -> Any:
     )
 
 
+def panels(height_in: float, columns: int, width_in: float = 11.0, **shared: bool) -> tuple[Any, Any]:
+    """Figure of axes side by side with a faint grid, and the axes; ``shared`` as matplotlib's sharex and sharey."""
+    figure = new_figure(width_in, height_in)
+    axes = np.atleast_1d(figure.subplots(1, columns, **shared))
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    return figure, axes
+
+
 def with_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """A line's points (n,) with a break wherever the next is more than three usual steps away."""
     if len(t_s) < 3:

@@ -12,7 +12,7 @@ from companion.calibration.stereo_rig import CELLS, BoardView, RigFit, cells, to
 from companion.records import Bytes, Floats, Side
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed_image, png
-from companion.reporting.page import render
+from companion.reporting.page import capitalised, render
 from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_figure
 
 Pairs = list[tuple[str, Bytes, Bytes]]
@@ -46,7 +46,7 @@ def report(fit: RigFit, views: list[BoardView], pairs: Pairs, board: Board, advi
     """
     picture = png(_figure(fit, [view for view in views if view.name in fit.views], pairs[0][1].shape))
     grade, headline_text = verdict(fit)
-    body: list[Block] = [Advice("; ".join(advice)[:1].upper() + "; ".join(advice)[1:] + ".")] if advice else []
+    body: list[Block] = [Advice(f"{capitalised('; '.join(advice))}.")] if advice else []
     body += [
         Heading("Coverage and residuals"),
         embed_image(picture, "png", "coverage of both images, residuals of each view", width_in=_WIDTH_IN),

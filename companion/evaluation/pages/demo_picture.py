@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from companion.evaluation.flight_evaluation import FlightEvaluation
-from companion.evaluation.metrics import DISTANCES_M, near
+from companion.evaluation.metrics import DISTANCES_M
 from companion.records import Floats
+from companion.reporting.page import capitalised
 from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, new_figure, with_gaps
 
 _COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
@@ -27,8 +28,7 @@ _LABELS = {
 def draw(evaluation: FlightEvaluation, path: Path) -> None:
     """Draw ``summary.png``."""
     figure = new_figure(13, 8.8)
-    plain = evaluation.plain
-    truth = plain["truth"]
+    plain, truth = evaluation.plain, evaluation.plain["truth"]
     what = (
         f"{plain['airframe']}, seed {plain['seed']}: a {truth['frequency_hz']:.2f} Hz wing that gusts bend by "
         f"{truth['gust_rms_mm']:.1f} mm rms, seen by two cameras at its tips"
@@ -50,7 +50,7 @@ def _result_in_a_line(plain: dict[str, Any]) -> str:
     shots = plain["shots"]
     trusted = f"{shots['trusted']} of {shots['corrected']} ranges trusted and published"
     if removed is None or None in far:
-        return trusted[:1].upper() + trusted[1:]
+        return capitalised(trusted)
     change = f"Median error at {_FAR} m: {far[1]:.2f} m, rigid stereo {far[0]:.1f} m"
     return f"{change}; {100.0 * removed:.1f} % of the toe's error removed; {trusted}"
 
@@ -97,25 +97,22 @@ def _toe(axis: Any, below: Any, evaluation: FlightEvaluation) -> None:
 
 
 def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
-    names = ("rigid", "rigid_in_trim", "corrected", "oracle")
-    width = 0.8 / len(names)
-    for k, name in enumerate(names):
-        z_true = evaluation.series[f"{name}.z_true_m"]
-        has_label = False
-        error = np.abs(evaluation.series[f"{name}.range_m"] - z_true)
+    width = 0.8 / len(_COLOURS)
+    for k, (name, colour) in enumerate(_COLOURS.items()):
+        label: str | None = _LABELS[name]
         for i, distance_m in enumerate(DISTANCES_M):
-            some = error[near(z_true, distance_m)]
-            if not len(some):
+            error = evaluation.plain["range_error_m"][name].get(f"{distance_m:g}", {"n": 0})
+            if not error["n"]:
                 continue
-            median, p95 = (float(np.percentile(some, rank, method="lower")) for rank in (50, 95))
+            median, p95 = (np.inf if error[key] is None else error[key] for key in ("median", "p95"))
             x = i + (k - 1.5) * width
-            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if has_label else _LABELS[name])
-            has_label = True
+            axis.bar(x, median, width * 0.9, color=colour, label=label)
+            label = None
             if np.isfinite(p95):
-                axis.plot([x, x], [median, p95], color=_COLOURS[name], lw=1.5)
+                axis.plot([x, x], [median, p95], color=colour, lw=1.5)
             else:  # the rigid range passes infinity
-                axis.annotate("∞", (x, median), (0, 12), "data", "offset points", ha="center", color=_COLOURS[name],
-                              arrowprops={"arrowstyle": "<-", "color": _COLOURS[name]})  # fmt: skip
+                axis.annotate("∞", (x, median), (0, 12), "data", "offset points", ha="center", color=colour,
+                              arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip
     axis.set_yscale("log")
     low, high = axis.get_ylim()
     axis.set_ylim(low, 6.0 * high)  # room for the arrows to infinity
@@ -127,16 +124,11 @@ def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
 
 
 def _blur(axis: Any, evaluation: FlightEvaluation) -> None:
-    blur_px = {
-        name: evaluation.series[f"blur.{name}"]
-        for name in ("at_plan", "at_random")
-        if f"blur.{name}" in evaluation.series
-    }
-    labels = {"at_plan": "aimed shots", "at_random": "shots at random instants"}
-    for name, values in blur_px.items():
-        rank = np.arange(1, len(values) + 1) / max(len(values), 1)
-        axis.plot(np.sort(values), 100 * rank, lw=2, label=labels[name],
-                  color=_COLOURS["corrected" if name == "at_plan" else "rigid_in_trim"])  # fmt: skip
+    for name, label, colour in (("at_plan", "aimed shots", BLUE), ("at_random", "shots at random instants", ORANGE)):
+        values = evaluation.series.get(f"blur.{name}")
+        if values is not None:
+            rank = np.arange(1, len(values) + 1) / max(len(values), 1)
+            axis.plot(np.sort(values), 100 * rank, lw=2, label=label, color=colour)
     axis.set(title="Blur that the bending wing causes", xlabel="px over the exposure", ylabel="% of the shots below")
     axis.set(xlim=(0, None), ylim=(0, 100))
     axis.grid(alpha=0.3)

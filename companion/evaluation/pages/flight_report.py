@@ -171,8 +171,8 @@ def _modes_sentence(log: FlightLog) -> str:
 def _ranges(log: FlightLog) -> Iterator[Block]:
     if log.ranges:
         yield Heading("Ranges")
-        text = _rigid_sentence(log)
-        yield embed(figures.ranges(log, text[:1].upper() + text[1:]), "rigid and corrected ranges over time")
+        text = page.capitalised(_rigid_sentence(log))
+        yield embed(figures.ranges(log, text), "rigid and corrected ranges over time")
 
 
 def _wing(log: FlightLog, wing: Wing) -> Iterator[Block]:

@@ -11,7 +11,7 @@ from companion.evaluation.pages.findings_page import causes_table
 from companion.evaluation.pages.measured_pages import check_table, rendered
 from companion.reporting.blocks import Advice, Block, Heading, Paragraph, Table
 from companion.reporting.embedding import embed
-from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
+from companion.reporting.plotting import AFTER, BEFORE, DATA, panels
 
 
 def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) -> str:
@@ -23,11 +23,10 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
         *causes_table(plain),
     ]
     if plain["held_out_speeds"]:
+        figure = _against_speed(plain, diagnosis.names)
         body += [
             Heading("Limit cycles against airspeed, each airspeed foretold by the others"),
-            embed(
-                _against_speed(plain, diagnosis.names), "frequency and amplitude of the limit cycle against airspeed"
-            ),
+            embed(figure, "frequency and amplitude of the limit cycle against airspeed"),
             _held_out(plain),
         ]
     if plain["onset"]:
@@ -60,30 +59,26 @@ def _held_out(plain: dict[str, Any]) -> Table:
 
 
 def _against_speed(plain: dict[str, Any], names: tuple[str, ...]) -> Any:
-    figure = new_figure(11, 3.4)
-    axes = figure.subplots(1, 1 + len(names))
+    figure, axes = panels(3.4, 1 + len(names))
     cycles = [entry for entry in plain["limit_cycles"] if entry["frequency_hz"] is not None]
     speeds = [entry["airspeed_mps"] for entry in cycles]
     at = [entry["airspeed_mps"] for entry in plain["held_out_speeds"]]
-    for axis, name in zip(axes, ("frequency, Hz", *names), strict=True):
-        first = name.startswith("frequency")
-        measured = [entry["frequency_hz"] if first else entry["amplitude"][name] for entry in cycles]
-        pairs = [entry["frequency_hz"] if first else entry["amplitude"][name] for entry in plain["held_out_speeds"]]
-        axis.plot(speeds, measured, "o", ms=5, color=DATA, label="measured")
-        axis.plot(
-            at, [pair["predicted"] for pair in pairs], "x-", ms=6, lw=0.8, color=AFTER, label="held out, predicted"
+    for axis, name in zip(axes, ("", *names), strict=True):
+        measured, held_out = (
+            [entry["amplitude"][name] if name else entry["frequency_hz"] for entry in entries]
+            for entries in (cycles, plain["held_out_speeds"])
         )
-        if first:
-            axis.axhline(plain["linear_wing"]["frequency_hz"], color=BEFORE, lw=1.0, label="linear wing")
-        axis.set(xlabel="airspeed, m/s", title=name if first else f"amplitude of {name}")
-        axis.grid(alpha=0.3)
+        predicted = [pair["predicted"] for pair in held_out]
+        axis.plot(speeds, measured, "o", ms=5, color=DATA, label="measured")
+        axis.plot(at, predicted, "x-", ms=6, lw=0.8, color=AFTER, label="held out, predicted")
+        axis.set(xlabel="airspeed, m/s", title=f"amplitude of {name}" if name else "frequency, Hz")
+    axes[0].axhline(plain["linear_wing"]["frequency_hz"], color=BEFORE, lw=1.0, label="linear wing")
     axes[0].legend(fontsize=8)
     return figure
 
 
 def _against_amplitude(diagnosis: FlutterDiagnosis) -> Any:
-    figure = new_figure(11, 3.6)
-    axes = figure.subplots(1, 1 + len(diagnosis.names))
+    figure, axes = panels(3.6, 1 + len(diagnosis.names))
     rows = diagnosis.rows
     speeds = np.array([row.airspeed_mps for row in rows])
     level = np.array([row.amplitude for row in rows])
@@ -95,13 +90,11 @@ def _against_amplitude(diagnosis: FlutterDiagnosis) -> Any:
         order = np.argsort(level[:, i])
         axis.plot(level[order, i], fitted[order], "+", ms=5, color=AFTER, label="fitted")
         axis.set(xlabel=f"amplitude of {name}", ylabel="frequency, Hz" if i == 0 else "")
-        axis.grid(alpha=0.3)
     axes[0].legend(fontsize=8)
     loud = level[:, 0] > 0.03 * level[:, 0].max()  # below, a window's damping is noise
     axes[-1].scatter(level[loud, 0], zeta[loud], c=speeds[loud], s=14, cmap="viridis")
     axes[-1].axhline(0.0, color="black", lw=0.8)
     axes[-1].set(xlabel=f"amplitude of {diagnosis.names[0]}", title="damping ratio: below 0 it grows")
-    axes[-1].grid(alpha=0.3)
     figure.colorbar(shown, ax=axes, label="airspeed, m/s")
     return figure
 
@@ -111,13 +104,11 @@ def _springs(plain: dict[str, Any]) -> Any:
         (entry["recording"], name, spring) for entry in plain["decays"] for name, spring in entry["stiffness"].items()
     ]
     names = list(dict.fromkeys(name for _, name, _ in curves))
-    figure = new_figure(11, 3.2)
-    axes = np.atleast_1d(figure.subplots(1, len(names)))
+    figure, axes = panels(3.2, len(names))
     for axis, name in zip(axes, names, strict=True):
         for recording, response, spring in curves:
             if response == name:
                 axis.plot(spring["deflection"], spring["force"], lw=1.2, label=recording)
         axis.set(xlabel=name, title=f"force per mass of the spring, {name}/s²")
-        axis.grid(alpha=0.3)
     axes[0].legend(fontsize=7)
     return figure

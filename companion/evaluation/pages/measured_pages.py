@@ -12,12 +12,13 @@ from companion.diagnosis.free_decay.likelihood import FreeDecayFit
 from companion.diagnosis.free_decay.record import Scale
 from companion.diagnosis.free_decay.recordings import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force
+from companion.diagnosis.modal_tests.frequency_changes import ChangedMode
 from companion.diagnosis.modal_tests.recordings import ModalTestDiagnosis
 from companion.diagnosis.modal_tests.vibration import VibrationRun
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
 from companion.reporting.page import render
-from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
+from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure, panels
 
 _TWO_PI = 2.0 * np.pi  # by definition: radians of a turn
 
@@ -53,11 +54,7 @@ def vibration_page(
         *[Advice(f"Record: {line}.") for line in plain["advice"]],
         Heading("Frequency by run"),
         embed(_by_run(diagnosis), "frequency of each mode by run"),
-        *(
-            [embed(_by_constant(diagnosis, runs), "frequency against what was set per run")]
-            if diagnosis.changed
-            else []
-        ),
+        *[embed(_by_constant(mode, runs), "frequency against what was set per run") for mode in diagnosis.changed[:1]],
         Heading("Responses"),
         embed(_responses(runs), "acceleration over force of every run"),
         Heading("Modes"),
@@ -150,8 +147,7 @@ def _tracks(diagnosis: FreeDecayDiagnosis) -> Any:
 
 
 def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
-    figure = new_figure(11, 3.6)
-    frequency, damping = figure.subplots(1, 2)
+    figure, (frequency, damping) = panels(3.6, 2)
     model = diagnosis.final.state
     for k, recording in enumerate(model.recordings):
         track = backbone(recording)
@@ -168,21 +164,17 @@ def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> 
     frequency.set(xlabel=_named(name), ylabel="frequency, Hz")
     damping.set(xlabel=_named(name), ylabel="damping ratio")
     frequency.legend(fontsize=8)
-    for axis in (frequency, damping):
-        axis.grid(alpha=0.3)
     return figure
 
 
 def _backbones(diagnosis: FreeDecayDiagnosis) -> Any:
-    figure = new_figure(11, 3.2)
-    frequency, damping = figure.subplots(1, 2)
+    figure, (frequency, damping) = panels(3.2, 2)
     for recording in diagnosis.final.state.recordings:
         track = backbone(recording)
         frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=recording.name)
         damping.loglog(track.amplitude_mps2, np.maximum(track.damping, 1e-4), ".", ms=4)
     for axis in (frequency, damping):
         axis.minorticks_off()
-        axis.grid(alpha=0.3)
     frequency.set(xlabel="amplitude, m/s²", ylabel="frequency, Hz", title="Backbone")
     damping.set(xlabel="amplitude, m/s²", ylabel="damping ratio")
     frequency.legend(fontsize=7)
@@ -212,9 +204,8 @@ def _forces(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.8)
     axes = figure.subplots(1, 2)
     image = None
-    for axis, fitted, title in zip(
-        axes, (diagnosis.null, diagnosis.final), ("constant frequency", "extended"), strict=True
-    ):
+    fits = ((diagnosis.null, "constant frequency"), (diagnosis.final, "extended"))
+    for axis, (fitted, title) in zip(axes, fits, strict=True):
         q, v, left = restoring_force(fitted.state, fitted.values, 0)
         image = axis.pcolormesh(q, v, left.T, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         axis.set(title=f"Left by spring and damper: {title}", xlabel="deflection, rms", ylabel="speed, rms")
@@ -224,29 +215,24 @@ def _forces(diagnosis: FreeDecayDiagnosis) -> Any:
 
 def _by_run(diagnosis: ModalTestDiagnosis) -> Any:
     shown = [recording.mode for recording in diagnosis.changed] or list(diagnosis.modes)
-    figure = new_figure(11, 3.2)
-    axes = np.atleast_1d(figure.subplots(1, min(len(shown), 4)))
+    figure, axes = panels(3.2, min(len(shown), 4))
     for axis, mode in zip(axes, shown, strict=False):
         axis.errorbar(mode.runs, mode.frequency_hz, 2.0 * mode.sigma_hz, fmt="o-", ms=4, color=AFTER, lw=0.8)
         axis.set(title=f"near {np.median(mode.frequency_hz):.2f} Hz", xlabel="run")
         axis.title.set_fontsize(10)
-        axis.grid(alpha=0.3)
     axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
     return figure
 
 
-def _by_constant(diagnosis: ModalTestDiagnosis, runs: Sequence[VibrationRun]) -> Any:
-    leading = diagnosis.changed[0]
+def _by_constant(leading: ChangedMode, runs: Sequence[VibrationRun]) -> Any:
     names = [recording.name for recording in leading.channels] or ["run_order"]
-    figure = new_figure(11, 3.2)
-    axes = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    figure, axes = panels(3.2, len(names), sharey=True)
     for axis, name in zip(axes, names, strict=True):
         at = [run.constants.get(name, k + 1.0) for k, run in enumerate(runs)]
         axis.errorbar(at, leading.mode.frequency_hz, 2.0 * leading.mode.sigma_hz, fmt="o", ms=4, color=AFTER)
         for x, y, run in zip(at, leading.mode.frequency_hz, runs, strict=True):
             axis.annotate(run.name, (x, y), fontsize=8, xytext=(4, 4), textcoords="offset points")
         axis.set(xlabel=f"{_named(name)} (numbers: runs)")
-        axis.grid(alpha=0.3)
     axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
     return figure
 
@@ -254,15 +240,13 @@ def _by_constant(diagnosis: ModalTestDiagnosis, runs: Sequence[VibrationRun]) ->
 def _responses(runs: Sequence[VibrationRun]) -> Any:
     from matplotlib import colormaps
 
-    figure = new_figure(11, 3.6)
-    axis = figure.subplots()
+    figure, (axis,) = panels(3.6, 1)
     colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(runs)))
     for run, colour in zip(runs, colours, strict=True):
         level = np.sqrt(np.mean(np.abs(run.response) ** 2, axis=0))
         axis.semilogy(run.frequency_hz, level, color=colour, lw=0.8, label=run.name)
     axis.set(xlabel="frequency, Hz", ylabel="m/s² per N, rms of the points")
     axis.legend(fontsize=7, ncols=2, title="run")
-    axis.grid(alpha=0.3)
     return figure
 
 
@@ -275,22 +259,27 @@ def _modes(plain: dict[str, Any]) -> list[Block]:
     ]  # fmt: skip
     moved = Table(["mode", "lowest to highest", "change between these two runs", "in its sigmas"], rows, 0)
     heads = ["run", *[f"near {mode['near_hz']:.2f} Hz" for mode in plain["modes"]]]
-    rows = []
-    for k, run in enumerate(plain["modes"][0]["runs"]):
-        rows.append([run, *[f"{m['frequency_hz'][k]:.3f} ± {m['sigma_hz'][k]:.4f}" for m in plain["modes"]]])
-    by_run = Table(heads, rows)
-    return [moved, Heading("Every run"), by_run]
+    by_run = [
+        [run, *[f"{mode['frequency_hz'][k]:.3f} ± {mode['sigma_hz'][k]:.4f}" for mode in plain["modes"]]]
+        for k, run in enumerate(plain["modes"][0]["runs"])
+    ]
+    return [moved, Heading("Every run"), Table(heads, by_run)]
+
+
+def _extremes(mode: dict[str, Any]) -> tuple[int, int]:
+    """Runs of the lowest and the highest frequency."""
+    return int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
 
 
 def _change(mode: dict[str, Any]) -> float:
     """From the first run of the lowest and the highest frequency to the later one, as a share."""
-    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    low, high = _extremes(mode)
     ratio = float(mode["frequency_hz"][high] / mode["frequency_hz"][low])
     return (ratio - 1.0) * (1.0 if low < high else -1.0)
 
 
 def _in_sigmas(mode: dict[str, Any]) -> float:
-    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    low, high = _extremes(mode)
     apart = mode["frequency_hz"][high] - mode["frequency_hz"][low]
     return float(apart / np.hypot(mode["sigma_hz"][low], mode["sigma_hz"][high]))
 
