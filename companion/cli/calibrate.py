@@ -17,7 +17,7 @@ from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
 from companion.calibration.rig_airframe import airframe_with_rig, baselines, rough_focal_px
-from companion.calibration.stereo_rig import CELLS, calibrate_rig, find_views
+from companion.calibration.stereo_rig import CELLS, RigFit, calibrate_rig, find_views
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
@@ -107,37 +107,19 @@ def _check_earlier(path: Path, airframe: str) -> None:
 
 
 def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
-    board = Board(options.board, tuple(options.squares), options.square_m)
+    board = _board(options)
     if (options.folder is None) == (options.cameras is None):
         raise ConfigError("give a folder of images, or --cameras to take them now")
-    folder, rehearsal = options.folder, None
-    if folder is None:
-        pair: CameraPair
-        focal_px = base.camera_pair[0].focal_px.value
-        if options.cameras == "sim":
-            pair = rehearsal = Rehearsal(base, board, options.seed)
-        else:
-            pair = cameras.camera_factory(options.cameras, base, triggered=False)()
-        folder = take_views(pair, board, options.views, options.out, options.seconds, focal_px)
+    rehearsal = Rehearsal(base, board, options.seed) if options.cameras == "sim" else None
+    folder = options.folder or _taken(options, base, board, rehearsal)
     pairs, lonely = _read_pairs(folder)
     views, rejected = find_views(pairs, board)
     size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])
     fit = calibrate_rig(views, board, size_px, lonely | rejected, rough_focal_px(base, size_px[0]))
     airframe = airframe_with_rig(base, fit)
     _text(airframe, options.out / "airframe.toml")
-    print(verdict(fit)[1])
-    print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
-    for name, value, sigma, where in rows(fit):
-        print(f"{where:14s} {name:18s} {value:>12s} +- {sigma}")
-    print(baselines(base, fit))
-    for name, why in fit.rejected.items():
-        print(f"refused {name}: {why}")
     missing = advice([view for view in views if view.name in fit.views], board, size_px)
-    for text in missing:
-        print(f"for a better result: {text}")
-    for side, parts in fit.unseen.items():
-        if parts:
-            print(f"no corner in {len(parts)} of {CELLS**2} parts of the {side} image: the lens is extrapolated there")
+    _print_fit(base, fit, missing)
     page, picture = report(fit, views, pairs, board, missing)
     (options.out / "report.html").write_text(page, encoding="utf-8")
     (options.out / "report.png").write_bytes(picture)
@@ -147,6 +129,32 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
         text = f"error over sigma {rms(off):.2f} rms over 24 parameters, {off.max():.2f} at most"
         print(f"against the simulated truth: {text}")
     return airframe
+
+
+def _board(options: argparse.Namespace) -> Board:
+    return Board(options.board, tuple(options.squares), options.square_m)
+
+
+def _taken(options: argparse.Namespace, base: Airframe, board: Board, rehearsal: Rehearsal | None) -> Path:
+    """Folder of views that are taken now, by the cameras or in a rehearsal."""
+    pair: CameraPair = rehearsal or cameras.camera_factory(options.cameras, base, triggered=False)()
+    focal_px = base.camera_pair[0].focal_px.value
+    return take_views(pair, board, options.views, options.out, options.seconds, focal_px)
+
+
+def _print_fit(base: Airframe, fit: RigFit, missing: list[str]) -> None:
+    print(verdict(fit)[1])
+    print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
+    for name, value, sigma, where in rows(fit):
+        print(f"{where:14s} {name:18s} {value:>12s} +- {sigma}")
+    print(baselines(base, fit))
+    for name, why in fit.rejected.items():
+        print(f"refused {name}: {why}")
+    for text in missing:
+        print(f"for a better result: {text}")
+    for side, parts in fit.unseen.items():
+        if parts:
+            print(f"no corner in {len(parts)} of {CELLS**2} parts of the {side} image: the lens is extrapolated there")
 
 
 def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
@@ -168,7 +176,7 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
 
 
 def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
-    board = Board(options.board, tuple(options.squares), options.square_m)
+    board = _board(options)
     recording = open_recording(options.recording, base)
     result = []
     for side in Side:

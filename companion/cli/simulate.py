@@ -91,16 +91,13 @@ def _effect(text: str) -> NamedEffect:
             f"(python -m tools.trials --only {name}), which record a roller and an airspeed"
         )
     first = effects[name].parameters()[0]
+    what = f"number ({first.name}, {first.unit or 'a ratio'})"
     try:
         number = float(value) if equals else first.sigma
     except ValueError as error:
-        raise ConfigError(
-            f"--effect {text}: '{value}' is not a number ({first.name}, {first.unit or 'a ratio'})"
-        ) from error
+        raise ConfigError(f"--effect {text}: '{value}' is not a {what}") from error
     if not math.isfinite(number):
-        raise ConfigError(
-            f"--effect {text}: '{value}' is not a finite number ({first.name}, {first.unit or 'a ratio'})"
-        )
+        raise ConfigError(f"--effect {text}: '{value}' is not a finite {what}")
     if effects[name].one_way and number < 0.0:
         raise ConfigError(f"--effect {text}: no wing has a negative {first.name} ({first.doc})")
     return NamedEffect(name, {first.name: number})

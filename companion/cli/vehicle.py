@@ -21,6 +21,7 @@ from companion.sim.flight.worlds import IDEAL, WORLDS
 from companion.sim.vehicle.routing import Port, Router
 from companion.sim.vehicle.world import VehicleLink, WorldOptions, serve
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
+from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
@@ -83,7 +84,7 @@ class _Control:
 
     def _open(self, folder: Path, start_host_ns: int) -> None:
         try:
-            self._cameras = _open_cameras(self._flight, folder, start_host_ns)
+            self._cameras = open_cameras(self._flight, scene_of(self._flight), folder, start_host_ns)
         except DeviceError as error:
             say(f"spanwise vehicle: {error}")
         self._landed.wait()  # a child ends with the thread that started it, not only with the process
@@ -131,12 +132,13 @@ def _opened(spellings: list[str]) -> list[Port]:
     return links
 
 
-def _open_cameras(flight: Flight, folder: Path, start_host_ns: int) -> BaseProcess:
+def open_cameras(flight: Flight, scene: Scene, folder: Path, start_host_ns: int) -> BaseProcess:
+    """Start the process that renders a flight's camera pair; it needs to know when the flight began."""
     return start_camera_server(
         CameraServerConfig(
             airframe=flight.real.actual,
             truth=flight.truth,
-            scene=scene_of(flight),
+            scene=scene,
             images=flight.world.images,
             seed=flight.seed,
             start_host_ns=start_host_ns,

@@ -68,7 +68,6 @@ def evaluate_flight(
         records = list(opened.records())
         outputs = collect(records)
         shots = score_shots(geometry, outputs)
-        ways = dict(shots.ways)
         blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
         others: dict[str, Shots] = {}
         if at_random is not None:
@@ -77,8 +76,24 @@ def evaluate_flight(
             vertical = aside.submit(_replayed_vertically, recording, flight.airframe, settings)
             others = _compared(geometry, inputs, extra, vertical)
             blur["at_random"] = wing_blur_px(geometry, extra)
-            ways |= {name: other.ways["corrected"] for name, other in others.items()}
-    plain: dict[str, Any] = {
+    ways = shots.ways | {name: other.ways["corrected"] for name, other in others.items()}
+    against = {name: paired(shots, other) for name, other in others.items()}
+    plain = _summary(geometry, outputs, shots, ways, against, blur, report)
+    return FlightEvaluation(finite(plain), _series(geometry, outputs, shots, ways, blur))
+
+
+def _summary(
+    geometry: TrueGeometry,
+    outputs: PipelineOutputs,
+    shots: Shots,
+    ways: dict[str, Scored],
+    against: dict[str, dict[str, Any]],
+    blur: dict[str, Floats],
+    report: dict[str, Any],
+) -> dict[str, Any]:
+    """Content of summary.json."""
+    flight = geometry.flight
+    return {
         "airframe": flight.airframe.name,
         "world": flight.world.name,
         "seed": flight.seed,
@@ -86,7 +101,7 @@ def evaluate_flight(
         "truth": _truth(flight),
         "toe_error_mrad": {name: toe_summary(way) for name, way in ways.items()},
         "range_error_m": {name: range_summary(way) for name, way in ways.items()},
-        "against_corrected": {name: paired(shots, other) for name, other in others.items()},
+        "against_corrected": against,
         "targets": targets(ways),
         "sigma": sigma_calibration(shots, outputs) | {"published_off_axis": published_off_axis(geometry, outputs)},
         "trigger": trigger_summary(geometry, outputs, shots, blur),
@@ -94,7 +109,6 @@ def evaluate_flight(
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},
         "refused": dict(sorted(outputs.rejected.items())),
     }
-    return FlightEvaluation(finite(plain), _series(geometry, outputs, shots, ways, blur))
 
 
 def _begun(geometry: TrueGeometry, stage: Stage, aside: Executor, say: Callable[[str], None]) -> Future[list[MatchSet]]:

@@ -18,14 +18,15 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from companion.cli.steps.simulated_devices import frames_path, line_path
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View
+from companion.cli.vehicle import open_cameras
 from companion.errors import DeviceError
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from companion.sim.flight.flight import Flight
 from companion.sim.vehicle.world import WorldOptions, serve_new
-from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
 from companion.sim.vision.cameras import SimCameraPair, SimTriggerLine
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
@@ -61,27 +62,12 @@ class SimulatedVehicle:
             kind, content = self.control.recv()
             if kind == "started":
                 self.start_host_ns = content
-                self._open_eyes()
+                self.cameras = open_cameras(self.flight, self.scene, self.folder, content)
             else:
                 self.report, self.over_s = content, time.monotonic()
         if not alive and self.over_s is None:
             raise DeviceError(f"the simulated aircraft's process has ended ({self.aircraft.exitcode})")
         return self.over_s is not None and time.monotonic() - self.over_s > _SETTLE_S
-
-    def _open_eyes(self) -> None:
-        """The cameras need to know when the flight began."""
-        self.cameras = start_camera_server(
-            CameraServerConfig(
-                airframe=self.flight.real.actual,
-                truth=self.flight.truth,
-                scene=self.scene,
-                images=self.flight.world.images,
-                seed=self.flight.seed,
-                start_host_ns=self.start_host_ns,
-                line_path=self.folder / "line",
-                frames_path=self.folder / "frames",
-            )
-        )
 
 
 def fly_in_real_time(config: ServiceConfig, flight: Flight, view: View, *, live: bool) -> tuple[int, dict[str, Any]]:
@@ -91,8 +77,8 @@ def fly_in_real_time(config: ServiceConfig, flight: Flight, view: View, *, live:
         config = replace(
             config,
             connections=(f"udpin:127.0.0.1:{port}",),
-            cameras=functools.partial(SimCameraPair, Path(folder) / "frames"),
-            trigger=functools.partial(SimTriggerLine, Path(folder) / "line"),
+            cameras=functools.partial(SimCameraPair, frames_path(Path(folder))),
+            trigger=functools.partial(SimTriggerLine, line_path(Path(folder))),
         )
         fly(Service(config), view, vehicle.ended, live=live)
     return vehicle.start_host_ns, vehicle.report

@@ -8,16 +8,6 @@ from collections.abc import Callable
 _LONGEST_S = 1e6  # chosen: eleven days: beyond it a number is a slip
 
 
-def seconds(text: str) -> float:
-    """Positive duration; for argparse."""
-    return number(0.0, _LONGEST_S, "seconds")(text)
-
-
-def flight_seconds(text: str) -> float:
-    """Length of a simulated flight, which has a beginning and an end; for argparse."""
-    return number(1.0, _LONGEST_S, "seconds")(text)
-
-
 def number(above: float, most: float, unit: str) -> Callable[[str], float]:
     """A number in this range, the lower end left out; for argparse."""
 
@@ -49,3 +39,5 @@ def integer(least: int, most: int) -> Callable[[str], int]:
 
 
 seed = integer(0, 2**31 - 1)
+seconds = number(0.0, _LONGEST_S, "seconds")
+flight_seconds = number(1.0, _LONGEST_S, "seconds")  # a simulated flight has a beginning and an end

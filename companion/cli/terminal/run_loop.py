@@ -64,12 +64,7 @@ def fly(
     with service, _screen() if live else _Lines() as screen:
         pause = RepeatPause(_LINE_S)
         while not ended():
-            for record in service.shown():
-                view.take(record)
-                if each is not None:
-                    each(record)
-            for sentence in service.tend():
-                view.say(sentence, here=True)
+            _look(service, view, each)
             elapsed_s = time.monotonic() - began
             if not live:
                 _print(view.sentences(), elapsed_s)
@@ -82,6 +77,16 @@ def fly(
                 _print([] if refused is None else [refused], elapsed_s)
                 say(view.line(elapsed_s))
             wait(_DRAW_S)
+
+
+def _look(service: RunningService, view: View, each: Callable[[Record], None] | None) -> None:
+    """Take what the service shows, and what it had to do."""
+    for record in service.shown():
+        view.take(record)
+        if each is not None:
+            each(record)
+    for sentence in service.tend():
+        view.say(sentence, here=True)
 
 
 def _screen() -> Any:
