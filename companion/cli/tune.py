@@ -124,7 +124,7 @@ def _row(trial: ParameterTrial, outcome: TrialOutcome, flown: TrialOutcome | Non
 def proposal(rows: list[dict[str, Any]], settings: Any) -> ParameterTrial:
     """Join the proposed values, of each parameter the one with the most trusted ranges, then the smallest sigma."""
     best: dict[str, dict[str, Any]] = {}
-    for row in [row for row in rows if row["proposed"] and len(row["changes"]) == 1]:
+    for row in _better_singles(rows):
         (name,) = row["changes"]
         if name not in best or _merit(row) > _merit(best[name]):
             best[name] = row
@@ -138,8 +138,11 @@ def _merit(row: dict[str, Any]) -> tuple[int, float]:
 
 def _best_single(rows: list[dict[str, Any]]) -> dict[str, float]:
     """The best proposed value alone, where the joined ones do not hold up together or were not tried."""
-    singles = (row for row in rows if row["proposed"] and len(row["changes"]) == 1)
-    return dict(max(singles, key=_merit)["changes"])
+    return dict(max(_better_singles(rows), key=_merit)["changes"])
+
+
+def _better_singles(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row["proposed"] and len(row["changes"]) == 1]
 
 
 def _show(row: dict[str, Any], options: argparse.Namespace) -> None:

@@ -114,12 +114,10 @@ class Examination:
             evidence.count_samples(record)
             if self._clock.now_ns() >= self._counting_host_ns:
                 self._counts[record.station] += len(record.t_ns)
-        elif isinstance(record, TimesyncReply):
-            evidence.clocks[record.clock] = self._clocks.exchange(record)
-        elif isinstance(record, ClockRestart):
-            self._clocks.restart(record)
         elif isinstance(record, Rejected) and record.reason is Reject.FOREIGN_SOURCE:
             evidence.foreign_imu[record.what] += record.count
+        else:
+            _follow_time(evidence, self._clocks, record)
 
     def _hear(self, heard: Heard) -> None:
         if heard.name == "COMMAND_ACK" and heard.message.target_component == self._evidence.settings.component_id:
@@ -175,23 +173,23 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     spans: dict[Station, _Span] = {}
     raw = isinstance(recording, TlogRecording)
     records = recording.chunks() if isinstance(recording, TlogRecording) else recording.records()
-    first_ns = last_ns = None
+    chunks_ns: list[int] = []
     clocks = ClockBank()
     for record in records:
-        findings: list[Record] = [record]
+        decoded: list[Record] = [record]
         if isinstance(record, RawChunk):
-            first_ns, last_ns = record.received_host_ns if first_ns is None else first_ns, record.received_host_ns
-            decoded = decoder.decode(record)
-            for heard in decoded.heard:
+            chunks_ns = [*chunks_ns[:1], record.received_host_ns]
+            messages = decoder.decode(record)
+            for heard in messages.heard:
                 note(evidence, heard, decoder.system_id)
-            raw, findings = True, list(decoded.records)
+            raw, decoded = True, list(messages.records)
         elif raw and isinstance(record, ImuBatch | TimesyncReply | ClockRestart):
             continue  # decoded from the chunks already
-        for entry in findings:
+        for entry in decoded:
             _count(evidence, spans, entry)
             _follow_time(evidence, clocks, entry)
     evidence.system = decoder.system_id
-    evidence.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+    evidence.seconds = (chunks_ns[-1] - chunks_ns[0]) / 1e9 if chunks_ns else 0.0
     evidence.rate_hz = {
         station: span.steps * 1e9 / span.duration_ns for station, span in spans.items() if span.duration_ns
     }

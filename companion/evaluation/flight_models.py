@@ -54,10 +54,8 @@ def belief_for(airframe: Airframe, recorded: Sequence[Sequence[Observations]]) -
     sides = sorted({side for segment in segments for side in segment.sides})
     varies = any(float(segment.load_factor.std()) > _LOAD_VARIES for segment in segments)
     inputs = {name: float(values.std()) for segment in segments for name, values in segment.inputs.items()}
-    with_range, has_root = (
-        any(segment.toe is not None for segment in segments),
-        any(segment.has_root for segment in segments),
-    )
+    with_range = any(segment.toe is not None for segment in segments)
+    has_root = any(segment.has_root for segment in segments)
     return believe(airframe, sides, with_range, varies, len(recorded), inputs, has_root)
 
 

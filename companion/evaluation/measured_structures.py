@@ -91,8 +91,7 @@ def _free_decay(
 ) -> _Diagnosed:
     band_hz = _band(mapping)
     for table in tables:
-        _rate_hz(table, band_hz)
-        _varying(table, [name for name in _TIPS if name in table.channels])
+        _checked_rate_hz(table, band_hz, [name for name in _TIPS if name in table.channels])
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
@@ -136,8 +135,7 @@ def _limit_cycle(
         responses = {name.removeprefix(_RESPONSE): table.channels[name] for name in names}
         try:
             airspeed = _airspeed(table, notes)
-            _rate_hz(table, _band(mapping))
-            _varying(table, names)
+            _checked_rate_hz(table, _band(mapping), names)
             forces = {name: values for name, values in table.channels.items() if name.startswith(_INPUT)}
             raw = RawVibration(table.path.name, table.t_s, responses, airspeed, forces)
             followed = track(raw, _band(mapping))
@@ -198,8 +196,7 @@ def _forced(
         if len(forces) != 1 or len(measured) != 1:
             needed = f"one {_INPUT}<what> and one {_RESPONSE}<what>"
             raise RecordingError(f"{table.path}: a forced oscillator needs {needed}")
-        _rate_hz(table, _band(mapping))
-        _varying(table, [*forces, *measured])
+        _checked_rate_hz(table, _band(mapping), [*forces, *measured])
         force, response = table.channels[forces[0]], table.channels[measured[0]]
         kind = ResponseKind.of_channel(measured[0])
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, response, kind))
@@ -214,21 +211,20 @@ def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
     names = [name for name in table.channels if name.startswith(_RESPONSE)]
     if _FORCE not in table.channels or not names:
         raise RecordingError(f"{table.path}: a vibration test needs {_FORCE} and {_RESPONSE}<point>_mps2")
-    rate_hz = _rate_hz(table, band_hz)
-    _varying(table, [_FORCE, *names])
+    rate_hz = _checked_rate_hz(table, band_hz, [_FORCE, *names])
     accelerations: Floats = np.stack([table.channels[name] for name in names], axis=1)
     f_hz, frf = responses(table.channels[_FORCE], accelerations, rate_hz, band_hz)
     order = table.constants.get("run_order")
     return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, frf, table.constants)
 
 
-def _rate_hz(table: MappedTable, band_hz: tuple[float, float]) -> float:
+def _checked_rate_hz(table: MappedTable, band_hz: tuple[float, float], names: Sequence[str]) -> float:
     """Rate of the rows.
 
     Raises
     ------
     RecordingError
-        One row, or rows too slow for the band.
+        One row, rows too slow for the band, or a channel of these names that never changes.
     """
     if len(table.t_s) < 2:
         raise RecordingError(f"{table.path}: has {len(table.t_s)} row of samples, a vibration has many: record longer")
@@ -238,13 +234,10 @@ def _rate_hz(table: MappedTable, band_hz: tuple[float, float]) -> float:
             f"{table.path}: {rate_hz:.4g} rows a second show nothing above {0.5 * rate_hz:.4g} Hz, band_hz reaches "
             f"{band_hz[1]:g} Hz: check the unit of the time column, or lower band_hz"
         )
-    return rate_hz
-
-
-def _varying(table: MappedTable, names: Sequence[str]) -> None:
     for name in names:
         if not np.ptp(table.channels[name]) > 0.0:
             raise RecordingError(f"{table.path}: {name} never changes: check its sensor, or take it out of the mapping")
+    return rate_hz
 
 
 def _believed(mapping: TableMapping, airframe: str | None) -> tuple[Uncertain, Uncertain]:

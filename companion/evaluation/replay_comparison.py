@@ -25,6 +25,7 @@ class ReplayComparison:
     ``tolerance`` is the largest difference that is rounding: :data:`ROUNDING_RATIO` between two machines, 0 on an equal
     one. ``difference`` is the first one beyond it, or in anything that is no number: field, time and values.
     ``largest_ratio`` is the largest within it, relative to the largest value so far of its field, ``largest_field``.
+    ``behind_loss`` says that the recorded outputs ended where something is missing.
     """
 
     tolerance: float = ROUNDING_RATIO
@@ -32,7 +33,7 @@ class ReplayComparison:
     difference: str | None = None
     largest_ratio: float = 0.0
     largest_field: str = ""
-    _behind_loss: bool = False
+    behind_loss: bool = False
     _first_ns: int | None = None
     _scales: dict[str, float] = field(default_factory=dict)
 
@@ -41,18 +42,13 @@ class ReplayComparison:
         """Whether every bit agrees."""
         return self.difference is None and self.largest_ratio == 0.0
 
-    @property
-    def behind_loss(self) -> bool:
-        """Whether the recorded outputs ended where something is missing."""
-        return self._behind_loss
-
     def compare(self, recorded: Record | None, replayed: Record | None, *, lossy: bool = False) -> None:
         """Hold a replayed output against the recorded one.
 
         With ``lossy``, the recorded ones end where something is missing, and the replay's go on without them.
         """
-        self._behind_loss |= lossy and recorded is None
-        if self._behind_loss:
+        self.behind_loss |= lossy and recorded is None
+        if self.behind_loss:
             return
         self.compared += 1
         if self.difference is not None:

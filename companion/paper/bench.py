@@ -98,7 +98,7 @@ def _height(setup: Setup) -> float:
 # ------------------------------------------------------------------------------------------------ drive
 
 
-def _shaken(setup: Setup, model: WingModel, rng: np.random.Generator) -> Callable[[Floats], Floats]:
+def _shaken(setup: Setup, model: WingModel, rng: np.random.Generator) -> _Path:
     """Rows height, speed, acceleration of the clamp, upward, (3, n), at any instants."""
     if setup.drive is Drive.SHAKER_SINE:
         return _sine_path(setup, model)
@@ -107,7 +107,7 @@ def _shaken(setup: Setup, model: WingModel, rng: np.random.Generator) -> Callabl
     return lambda t_s: np.zeros((3, len(t_s)))
 
 
-def _sine_path(setup: Setup, model: WingModel) -> Callable[[Floats], Floats]:
+def _sine_path(setup: Setup, model: WingModel) -> _Path:
     """At the believed frequency, which is not quite the real one; as strong as the wanted deflection needs."""
     omega = 2 * np.pi * setup.airframe.wing.symmetric.frequency_hz.value
     mode_radps, zeta = float(model.omega_radps[0]), float(model.zeta[0])
@@ -122,7 +122,7 @@ def _sine_path(setup: Setup, model: WingModel) -> Callable[[Floats], Floats]:
     return path
 
 
-def _noise_path(setup: Setup, model: WingModel, rng: np.random.Generator) -> Callable[[Floats], Floats]:
+def _noise_path(setup: Setup, model: WingModel, rng: np.random.Generator) -> _Path:
     """Band noise as a sum of many sines, so that height and speed follow exactly."""
     hertz = np.arange(_NOISE_FROM_HZ, _NOISE_TO_HZ, 0.25) + rng.uniform(-0.1, 0.1, int(4 * (_NOISE_TO_HZ - 5.0)))
     omega, phase = 2 * np.pi * hertz, rng.uniform(0, 2 * np.pi, len(hertz))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from companion.errors import LinkError, import_extra
-from companion.evaluation.fleet.runner import Row, Task, attempt, failure, stored, write_part
+from companion.evaluation.fleet.runner import Row, Task, attempt, failure, split_stored, write_part
 
 _CONNECT_S = 10.0  # a scheduler on the same network answers within a second (choice)
 
@@ -29,13 +29,8 @@ def run_on_cluster(tasks: Sequence[T], work: Callable[[T], Row], address: str) -
         No scheduler answers, it was lost, or a worker has more than one thread.
     """
     require_dask()
-    missing: list[T] = []
-    for task in tasks:
-        row = stored(task)
-        if row is None:
-            missing.append(task)
-        else:
-            yield task, row
+    earlier, missing = split_stored(tasks)
+    yield from earlier
     if missing:
         with _client(address) as client:
             yield from _made(client, missing, work, address)

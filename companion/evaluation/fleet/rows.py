@@ -35,9 +35,8 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
     }
     for name in FAMILIES:
         mode = log.mode(name)
-        row[f"{name}_hz"] = None if mode is None else _rounded(mode.frequency_hz)
-        row[f"{name}_sigma_hz"] = None if mode is None else _rounded(mode.frequency_sigma_hz)
-        row[f"{name}_rms_m"] = None if mode is None else _rounded(mode.rms_m)
+        for column, figure in (("hz", "frequency_hz"), ("sigma_hz", "frequency_sigma_hz"), ("rms_m", "rms_m")):
+            row[f"{name}_{column}"] = _rounded(getattr(mode, figure, None))
     for station in Station:
         stream = log.info.streams.get(station)
         rate_hz = None if stream is None else stream.rate_hz
@@ -70,13 +69,11 @@ def identification_row(result: Mapping[str, Any]) -> dict[str, Any]:
     They have the names that a report's row has for them.
     """
     row: dict[str, Any] = {"airframe": result["airframe"]}
-    for family in ("symmetric", "antisymmetric"):
+    for family in FAMILIES:
         modes = [mode for mode in result[family] if mode["resolved"]]
         lowest = modes[0] if modes else {}
-        row[f"{family}_hz"] = _rounded(lowest.get("frequency_hz"))
-        row[f"{family}_sigma_hz"] = _rounded(lowest.get("frequency_sigma_hz"))
-        row[f"{family}_damping"] = _rounded(lowest.get("damping"))
-        row[f"{family}_damping_sigma"] = _rounded(lowest.get("damping_sigma"))
+        for figure in ("frequency_hz", "frequency_sigma_hz", "damping", "damping_sigma"):
+            row[f"{family}_{figure.removeprefix('frequency_')}"] = _rounded(lowest.get(figure))
         row[f"{family}_modes"] = len(modes)
     return row
 

@@ -48,20 +48,21 @@ def stored(task: Task) -> Row | None:
     return row if isinstance(row, dict) and not row.get("failed") else None
 
 
+def split_stored(tasks: Sequence[T]) -> tuple[list[tuple[T, Row]], list[T]]:
+    """Tasks with a result of an earlier run, each with its row, and those without."""
+    rows = [(task, stored(task)) for task in tasks]
+    return [(task, row) for task, row in rows if row is not None], [task for task, row in rows if row is None]
+
+
 def run(tasks: Sequence[T], work: Callable[[T], Row], workers: int) -> Iterator[tuple[T, Row]]:
     """Give each task's result as it is made, those of an earlier run first.
 
     ``work`` is a function at the top of a module, called in a worker.
     """
-    missing: deque[tuple[T, int]] = deque()
-    for task in tasks:
-        row = stored(task)
-        if row is None:
-            missing.append((task, 1))
-        else:
-            yield task, row
+    earlier, missing = split_stored(tasks)
+    yield from earlier
     if missing:
-        yield from _made(missing, work, min(workers, len(missing)))
+        yield from _made(deque((task, 1) for task in missing), work, min(workers, len(missing)))
 
 
 def attempt(task: T, work: Callable[[T], Row]) -> Row:
