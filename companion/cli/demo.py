@@ -29,7 +29,9 @@ from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage
 from companion.live.about import ViewKind
 from companion.live.session import Subject
+from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
@@ -70,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Fly, judge, show."""
+    """Fly, judge, show; or land."""
     require_report()
     airframe = load_airframe(options.airframe)
     if airframe.left_camera is None or airframe.right_camera is None:
@@ -81,6 +83,10 @@ def execute(options: argparse.Namespace) -> int:
     if options.landing:
         make_folder(options.out)
         return land(airframe, settings, options)
+    return _fly_and_judge(airframe, settings, options)
+
+
+def _fly_and_judge(airframe: Airframe, settings: Settings, options: argparse.Namespace) -> int:
     recording = options.out / "flight.mcap"
     world = WORLDS[options.world]
     airframe = as_calibrated(airframe, world)
@@ -95,11 +101,12 @@ def execute(options: argparse.Namespace) -> int:
     say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)
     summary = evaluate_flight(flight, stage, recording, report, compare=not options.no_compare, say=say)
-    (options.out / "summary.json").write_text(json.dumps(summary.plain, indent=2) + "\n", encoding="utf-8")
+    text = json.dumps(summary.plain, indent=2)
+    (options.out / "summary.json").write_text(text + "\n", encoding="utf-8")
     judged = summary.plain["shots"]["judged"]
     if judged:
         draw(summary, options.out / "summary.png")
-    print(json.dumps(summary.plain, indent=2)) if options.json else print_summary(summary.plain)
+    print(text) if options.json else print_summary(summary.plain)
     picture = f", {options.out / 'summary.png'}" if judged else ""
     say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
     say(f"next: spanwise report {recording}, and spanwise replay {recording} --live for a browser")

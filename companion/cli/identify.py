@@ -141,8 +141,25 @@ def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
         name: [dataclasses.asdict(mode) | {"resolved": mode.resolved} for mode in family]
         for name, family in modes.items()
     }
-    result = {"airframe": recording.airframe.name, **plain}
-    _write_numbers(result, options.out)
+    _write_numbers({"airframe": recording.airframe.name, **plain}, options.out)
+    _print_families(modes)
+    draw_flight(motion, modes, options.out)
+    modes = {name: [mode for mode in family if mode.resolved] for name, family in modes.items()}
+    if not all(modes.values()):
+        beside = f"{options.out / 'modes.json'} and spectra.png have what there is"
+        print(f"not both families show a mode: no airframe written; {beside}")
+        return NOTHING_TO_ESTIMATE
+    first, second = modes["symmetric"][0], modes["antisymmetric"][0]
+    apart_hz = abs(first.frequency_hz - second.frequency_hz)
+    if apart_hz < math.hypot(first.frequency_sigma_hz, second.frequency_sigma_hz):
+        print(f"note: both families show {first.frequency_hz:.2f} Hz: is each tip's channel from a sensor on that tip?")
+    symmetric, antisymmetric = _with(into.wing.symmetric, first), _with(into.wing.antisymmetric, second)
+    wing = dataclasses.replace(into.wing, symmetric=symmetric, antisymmetric=antisymmetric)
+    _write(dataclasses.replace(into, wing=wing), options.out)
+    return 0
+
+
+def _print_families(modes: dict[str, list[AmbientMode]]) -> None:
     for name, family in modes.items():
         for mode in family:
             print(
@@ -150,22 +167,6 @@ def _from_flight(options: argparse.Namespace, base: Airframe | None) -> int:
                 f"zeta {100 * mode.damping:6.2f} +- {100 * mode.damping_sigma:.2f} %   blocks {mode.blocks}"
                 + ("" if mode.resolved else "   a steady tone, or damped too little to tell: left out")
             )
-    draw_flight(motion, modes, options.out)
-    modes = {name: [mode for mode in family if mode.resolved] for name, family in modes.items()}
-    if not all(modes.values()):
-        beside = f"{options.out / 'modes.json'} and spectra.png have what there is"
-        print(f"not both families show a mode: no airframe written; {beside}")
-        return NOTHING_TO_ESTIMATE
-    wing = into.wing
-    first, second = modes["symmetric"][0], modes["antisymmetric"][0]
-    apart_hz = abs(first.frequency_hz - second.frequency_hz)
-    if apart_hz < math.hypot(first.frequency_sigma_hz, second.frequency_sigma_hz):
-        print(f"note: both families show {first.frequency_hz:.2f} Hz: is each tip's channel from a sensor on that tip?")
-    bent = dataclasses.replace(
-        wing, symmetric=_with(wing.symmetric, first), antisymmetric=_with(wing.antisymmetric, second)
-    )
-    _write(dataclasses.replace(into, wing=bent), options.out)
-    return 0
 
 
 def _with(mode: Mode, measured: AmbientMode) -> Mode:

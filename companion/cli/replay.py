@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from companion.adapters.recordings.mcap.codec import plain_values
 from companion.adapters.recordings.mcap.machine import machine
@@ -106,17 +106,16 @@ def execute(options: argparse.Namespace) -> int:
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
-    is_own_format = recording.hub is ClockName.HOST and isinstance(recording, McapRecording)
-    same_beliefs = not options.airframe and settings == recording.settings and _begins_with_the_service(recording)
     counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
-    recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
+    same_beliefs = not options.airframe and settings == recording.settings
+    recorded = _published(recording) if same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
     live = read_live(options, recording.path)
     with live_session(live, _subject(recording, settings)) as watched:
         show = None if watched is None else PacedView(watched)
-        for output in _replayed(recording, settings, is_own_format, counters, stations, progress, show):
+        for output in _replayed(recording, settings, counters, stations, progress, show):
             counters.take(output)
             if show is not None:
                 show.publish(output)
@@ -156,14 +155,13 @@ def encoded(record: Record) -> bytes:
 def _replayed(
     recording: Recording,
     settings: Settings,
-    is_own_format: bool,
     counters: OutputCounters,
     stations: StationAnalysis,
     progress: Progress,
     show: PacedView | None,
 ) -> Iterator[Record]:
     records = recording.records() if show is None else show.with_images(recording.records())
-    inputs = own_inputs(records, recording.airframe, settings) if is_own_format else foreign_inputs(records)
+    inputs = own_inputs(records, recording.airframe, settings) if _is_ours(recording) else foreign_inputs(records)
     hub = None if recording.hub is ClockName.HOST else recording.hub
 
     def watched() -> Iterator[Record]:
@@ -180,15 +178,18 @@ def _replayed(
     return drive(watched(), recording.airframe, settings, hub)
 
 
-def _outputs_of(recording: Recording) -> Iterator[Record]:
-    """Published records, up to the first that is missing."""
-    records = recording.records_before_loss() if isinstance(recording, McapRecording) else recording.records()
-    return (record for record in records if isinstance(record, _OUTPUTS))
+def _is_ours(recording: Recording) -> TypeGuard[McapRecording]:
+    return recording.hub is ClockName.HOST and isinstance(recording, McapRecording)
 
 
-def _begins_with_the_service(recording: Recording) -> bool:
-    """Whether the estimation that was published began in this file: a further part goes on from the one before."""
-    return not isinstance(recording, McapRecording) or recording.part_number == 1
+def _published(recording: Recording) -> Iterator[Record] | None:
+    """Records that the service published, up to the first that is missing; None where a replay does not give them.
+
+    That is of a log of somebody else, and of a file in which the service's estimation goes on from the one before.
+    """
+    if not _is_ours(recording) or recording.part_number != 1:
+        return None
+    return (record for record in recording.records_before_loss() if isinstance(record, _OUTPUTS))
 
 
 def _lossy(recording: Recording) -> bool:

@@ -35,7 +35,7 @@ def draw_test(test: VibrationTest, modes: list[IdentifiedMode], bending: list[Be
     resolved = [mode for mode in modes if mode.resolved]
     headline(figure, f"{len(resolved)} modes that the record resolves: " + _listed(resolved))
     figure.savefig(folder / "responses.png", dpi=110)
-    _draw_repeatability([mode for mode in modes if mode.resolved], folder)
+    _draw_repeatability(resolved, folder)
     if bending:
         _draw_shapes(test, bending, folder)
 
