@@ -26,7 +26,7 @@ from companion.evaluation.accuracy_targets import (
     wing_blur_px,
 )
 from companion.evaluation.metrics import SETTLED_S, Scored, range_summary, toe_summary
-from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
+from companion.evaluation.rendered_shots import RendererProcesses, ShotRecords, ShotRequest, Stage
 from companion.evaluation.replay import own_inputs
 from companion.evaluation.shot_scores import PipelineOutputs, Shots, collect, paired, replayed, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
@@ -114,7 +114,7 @@ def _summary(
 def _begun(geometry: TrueGeometry, stage: Stage, aside: Executor, say: Callable[[str], None]) -> Future[list[MatchSet]]:
     """Begin with the random instants: their matches are to be replayed beside the other replay."""
     say("replaying with vertical accelerometers alone, and rendering the same flight at random instants ...")
-    return aside.submit(_rendered, stage, _random_pulls(geometry))
+    return aside.submit(_rendered, stage, _random_requests(geometry))
 
 
 def _compared(
@@ -126,9 +126,9 @@ def _compared(
     return {"vertical_only": score_shots(geometry, vertical.result()), "random_instants": random}
 
 
-def _rendered(stage: Stage, wanted: list[Pull]) -> list[MatchSet]:
-    with Studios(stage) as studios:
-        return matches_of(studios.all(wanted))
+def _rendered(stage: Stage, wanted: list[ShotRequest]) -> list[MatchSet]:
+    with RendererProcesses(stage) as processes:
+        return matches_of(processes.all(wanted))
 
 
 def _replayed_vertically(recording: Path, airframe: Airframe, settings: Settings) -> PipelineOutputs:
@@ -146,21 +146,21 @@ def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
         yield record
 
 
-def _random_pulls(geometry: TrueGeometry) -> list[Pull]:
-    """Pulls of the line at instants that know nothing of the wing."""
+def _random_requests(geometry: TrueGeometry) -> list[ShotRequest]:
+    """Requests of shots at instants that know nothing of the wing."""
     flight = geometry.flight
     rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
     count = max(int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ), 0)
     edges_s = SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ
-    return pulls(edges_s, geometry.start_host_ns)
+    return shot_requests(edges_s, geometry.start_host_ns)
 
 
-def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
-    """Pulls of the line at ``edges_s`` (n,) (boot time), whose matches are ready a tenth of a second later."""
+def shot_requests(edges_s: Floats, start_host_ns: int) -> list[ShotRequest]:
+    """Requests of shots at ``edges_s`` (n,) (boot time), whose matches are ready a tenth of a second later."""
     edges_ns = [start_host_ns + int(edge_s * 1e9) for edge_s in edges_s]
     earlier_ns = [None, *edges_ns[:-1]]
     return [
-        Pull(shot, edge_ns, edge_ns + _ARRIVAL_NS, earlier_edge_host_ns=before_ns)
+        ShotRequest(shot, edge_ns, edge_ns + _ARRIVAL_NS, earlier_edge_host_ns=before_ns)
         for shot, (edge_ns, before_ns) in enumerate(zip(edges_ns, earlier_ns, strict=True))
     ]
 

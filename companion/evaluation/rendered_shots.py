@@ -66,8 +66,8 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
-class Pull:
-    """One pull of the line: number of the shot, instant of the edge, and when its matches are ready (host ns).
+class ShotRequest:
+    """One shot to render: its number, the edge of the trigger line, and when its matches are ready (host ns).
 
     ``is_shown`` asks for the images too. ``earlier_edge_host_ns`` is the edge of the shot before, whose left image
     shows how features have moved; None: there is none.
@@ -80,8 +80,8 @@ class Pull:
     earlier_edge_host_ns: int | None = None
 
 
-class Studio:
-    """Makes shots, one by one.
+class ShotRenderer:
+    """Renders and matches a flight's shots, one by one.
 
     ``right_image`` gives the right image of each shot in turn, where another process renders it (None: there is none).
     """
@@ -95,21 +95,23 @@ class Studio:
         self._vision = VisionState.create(stage.belief, stage.settings)
         self._last: Frame | None = None  # left image of the last shot, host clock
 
-    def shoot(self, pull: Pull) -> ShotRecords:
+    def render(self, request: ShotRequest) -> ShotRecords:
         """Matches of one shot; none before take-off and after the end, where there is nothing to see."""
-        earlier = self._earlier(pull)
-        left = self.image(Side.LEFT, pull.shot, pull.edge_host_ns)
+        earlier = self._earlier(request)
+        left = self.image(Side.LEFT, request.shot, request.edge_host_ns)
         if self._right_image is None:
-            right = self.image(Side.RIGHT, pull.shot, pull.edge_host_ns)
+            right = self.image(Side.RIGHT, request.shot, request.edge_host_ns)
         else:
             right = self._right_image()
         if left is None or right is None:
             return []
-        vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={}, earlier=earlier)
+        vision = dataclasses.replace(
+            self._vision, pairer=FramePairer(next_id=request.shot), numbers={}, earlier=earlier
+        )
         self._last = left
-        said: ShotRecords = [FramePair(pull.shot, left, right)] if pull.is_shown else []
+        said: ShotRecords = [FramePair(request.shot, left, right)] if request.is_shown else []
         for frame in (left, right):
-            said += vision_step(vision, frame, pull.matched_host_ns)
+            said += vision_step(vision, frame, request.matched_host_ns)
         return said
 
     def image(self, side: Side, shot: int, edge_host_ns: int) -> Frame | None:
@@ -122,20 +124,20 @@ class Studio:
         stamp_ns = frame.mid_exposure_ns + self._stage.start_host_ns
         return dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=stamp_ns)
 
-    def _earlier(self, pull: Pull) -> EarlierView | None:
+    def _earlier(self, request: ShotRequest) -> EarlierView | None:
         """Left image of the shot before: the one that was just made here, or made again."""
-        if pull.earlier_edge_host_ns is None:
+        if request.earlier_edge_host_ns is None:
             return None
-        number, left = pull.shot - 1, self._last
+        number, left = request.shot - 1, self._last
         if left is None or left.sequence != number:
-            left = self.image(Side.LEFT, number, pull.earlier_edge_host_ns)
+            left = self.image(Side.LEFT, number, request.earlier_edge_host_ns)
         return None if left is None else EarlierView(number, left.mid_exposure_ns, left.image)
 
 
-class StudioPort(Protocol):
-    """Makes shots that were begun, for whoever waits for them."""
+class ShotSource(Protocol):
+    """Renders shots that were begun, for whoever waits for them."""
 
-    def begin(self, pull: Pull) -> None:
+    def begin(self, request: ShotRequest) -> None:
         """Begin a shot."""
         ...
 
@@ -143,32 +145,32 @@ class StudioPort(Protocol):
         """Matches of a shot that was begun."""
         ...
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         """End it."""
         ...
 
 
-class InProcessStudio:
-    """Makes each shot when its matches are asked for, in this process: for a truth that grows meanwhile."""
+class InProcessRenderer:
+    """Renders each shot when its matches are asked for, in this process: for a truth that grows meanwhile."""
 
     def __init__(self, stage: Stage) -> None:
-        self._studio = Studio(stage)
-        self._pulled: dict[int, Pull] = {}
+        self._renderer = ShotRenderer(stage)
+        self._begun: dict[int, ShotRequest] = {}
 
-    def begin(self, pull: Pull) -> None:
+    def begin(self, request: ShotRequest) -> None:
         """Note the shot."""
-        self._pulled[pull.shot] = pull
+        self._begun[request.shot] = request
 
     def result(self, shot: int) -> ShotRecords:
-        """Make it."""
-        return self._studio.shoot(self._pulled.pop(shot))
+        """Render it."""
+        return self._renderer.render(self._begun.pop(shot))
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         """Nothing to end."""
 
 
-class Studios:
-    """Two processes that make shots in the order in which these were begun. Use as a context manager.
+class RendererProcesses:
+    """Two processes that render shots in the order in which these were begun. Use as a context manager.
 
     Raises
     ------
@@ -192,10 +194,10 @@ class Studios:
             self._processes.append(process)
         self._made: dict[int, ShotRecords] = {}
 
-    def begin(self, pull: Pull) -> None:
+    def begin(self, request: ShotRequest) -> None:
         """Begin a shot."""
         for end in self._ends:
-            _give(end, pull)
+            _give(end, request)
 
     def result(self, shot: int) -> ShotRecords:
         """Matches of a shot that was begun; waits for them."""
@@ -207,21 +209,25 @@ class Studios:
             self._made[made] = said
         return self._made.pop(shot)
 
-    def all(self, pulls: Iterable[Pull]) -> list[ShotRecords]:
-        """Make many shots; what came of each, in their order."""
+    def all(self, requests: Iterable[ShotRequest]) -> list[ShotRecords]:
+        """Render many shots; what came of each, in their order."""
         made: list[ShotRecords] = []
         begun: deque[int] = deque()
-        for pull in pulls:
-            self.begin(pull)
-            begun.append(pull.shot)
+        for request in requests:
+            self.begin(request)
+            begun.append(request.shot)
             if len(begun) > _AHEAD:
                 made.append(self.result(begun.popleft()))
         return made + [self.result(shot) for shot in begun]
 
-    def __enter__(self) -> Studios:
+    def __enter__(self) -> RendererProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the processes."""
         for end in self._ends:
             end.close()
         for process in self._processes:
@@ -229,7 +235,7 @@ class Studios:
             process.join()
 
 
-def _give(end: Connection, thing: Stage | Pull) -> None:
+def _give(end: Connection, thing: Stage | ShotRequest) -> None:
     try:
         end.send(thing)
     except OSError as error:
@@ -240,10 +246,10 @@ def _serve_shots(end: Connection, from_right: Connection) -> None:
     """Be the process that renders left images and matches, until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
     try:
-        studio = Studio(end.recv(), from_right.recv)
+        renderer = ShotRenderer(end.recv(), from_right.recv)
         while True:
-            pull = end.recv()
-            end.send((pull.shot, studio.shoot(pull)))
+            request = end.recv()
+            end.send((request.shot, renderer.render(request)))
     except (EOFError, OSError):
         return
 
@@ -252,9 +258,9 @@ def _serve_right_images(end: Connection, to_left: Connection) -> None:
     """Be the process that renders right images, until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        studio = Studio(end.recv())
+        renderer = ShotRenderer(end.recv())
         while True:
-            pull = end.recv()
-            to_left.send(studio.image(Side.RIGHT, pull.shot, pull.edge_host_ns))
+            request = end.recv()
+            to_left.send(renderer.image(Side.RIGHT, request.shot, request.edge_host_ns))
     except (EOFError, OSError):
         return

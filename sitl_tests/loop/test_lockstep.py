@@ -15,7 +15,7 @@ from companion.cli.main import main
 from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras, LockStepService
 from companion.errors import DeviceError
 from companion.evaluation import shot_scores
-from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio, Studios
+from companion.evaluation.rendered_shots import RendererProcesses, ShotRecords, ShotRenderer, ShotRequest, Stage
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Health, MatchSet, Notice, Reject, Rejected, ServiceStatus, Shot, Side, TriggerPlan
@@ -45,11 +45,11 @@ class Studied:
 
     def __init__(self, clock: LockStepClock) -> None:
         self.clock = clock
-        self.begun: list[Pull] = []
+        self.begun: list[ShotRequest] = []
         self.asked_s: list[float] = []
 
-    def begin(self, pull: Pull) -> None:
-        self.begun.append(pull)
+    def begin(self, request: ShotRequest) -> None:
+        self.begun.append(request)
 
     def result(self, shot: int) -> ShotRecords:
         self.asked_s.append(self.clock.flown_s)
@@ -114,11 +114,11 @@ def test_the_line_is_pulled_at_the_planned_instant_however_late_the_loop_looks(
     (shot,) = cameras.poll()
     assert isinstance(shot, Shot)
     assert 0 <= shot.fired_host_ns - (EPOCH_NS + 50 * MS) < 200_000
-    (pull,) = studied.begun
-    assert pull.edge_host_ns == shot.fired_host_ns
-    left, right = (Shutters(flight.real.actual, flight.seed).exposure(side, pull.edge_host_ns, 0) for side in (0, 1))  # type: ignore[arg-type]
+    (request,) = studied.begun
+    assert request.edge_host_ns == shot.fired_host_ns
+    left, right = (Shutters(flight.real.actual, flight.seed).exposure(side, request.edge_host_ns, 0) for side in (0, 1))  # type: ignore[arg-type]
     exposed_ns = max(each.mid_boot_ns + each.exposure_ns // 2 for each in (left, right))
-    assert pull.matched_host_ns >= exposed_ns + MATCHING_NS, "a pair cannot be matched before it was exposed"
+    assert request.matched_host_ns >= exposed_ns + MATCHING_NS, "a pair cannot be matched before it was exposed"
 
 
 def test_matches_come_when_they_are_due_and_are_waited_for_only_then(
@@ -159,33 +159,35 @@ def test_an_edge_while_the_pair_is_read_out_exposes_nothing(
         cameras.send(plan(number, at_ms, planned_ms=at_ms - 1))
         sleep_until(clock, at_ms + 1)
         assert len(cameras.poll()) == 1
-    assert [pull.shot for pull in studied.begun] == [0, 1]
+    assert [request.shot for request in studied.begun] == [0, 1]
 
 
 @pytest.mark.slow
 def test_a_shot_is_the_same_whichever_process_makes_it_and_when(flight: Flight) -> None:
     stage = Stage.of(flight, Settings(), EPOCH_NS)
     edges_ns = [EPOCH_NS + (100 + 60 * k) * MS for k in range(12)]
-    pulls = [
-        Pull(k, edge_ns, edge_ns + 100 * MS, earlier_edge_host_ns=edges_ns[k - 1] if k else None)
+    requests = [
+        ShotRequest(k, edge_ns, edge_ns + 100 * MS, earlier_edge_host_ns=edges_ns[k - 1] if k else None)
         for k, edge_ns in enumerate(edges_ns)
     ]
-    with Studios(stage) as studios:
-        made = studios.all(pulls)
-    studio = Studio(stage)
-    for pull, records in zip(reversed(pulls), reversed(made), strict=True):
-        ((pooled,), (local,)) = records, studio.shoot(pull)
+    with RendererProcesses(stage) as processes:
+        made = processes.all(requests)
+    renderer = ShotRenderer(stage)
+    for request, records in zip(reversed(requests), reversed(made), strict=True):
+        ((pooled,), (local,)) = records, renderer.render(request)
         assert isinstance(pooled, MatchSet)
         assert isinstance(local, MatchSet)
-        assert pooled.pair_id == local.pair_id == pull.shot
-        assert pooled.matched_host_ns == pull.matched_host_ns
+        assert pooled.pair_id == local.pair_id == request.shot
+        assert pooled.matched_host_ns == request.matched_host_ns
         assert pooled.left_px.tobytes() == local.left_px.tobytes()
         assert pooled.right_px.tobytes() == local.right_px.tobytes()
-        if pull.shot:
+        if request.shot:
             assert pooled.flow is not None
             assert local.flow is not None
             assert pooled.flow.earlier_px.tobytes() == local.flow.earlier_px.tobytes()
-    assert studio.shoot(Pull(9, EPOCH_NS + 60_000 * MS, EPOCH_NS + 60_100 * MS)) == [], "after the end there is no view"
+    assert renderer.render(ShotRequest(9, EPOCH_NS + 60_000 * MS, EPOCH_NS + 60_100 * MS)) == [], (
+        "after the end there is no view"
+    )
 
 
 BUSY = """
@@ -239,9 +241,9 @@ def test_two_demos_of_one_seed_are_equal_to_the_bit_though_one_flew_on_a_busy_ma
 @pytest.mark.slow
 @pytest.mark.parametrize("side", list(Side))
 def test_a_process_that_dies_is_told_and_not_waited_for(flight: Flight, side: Side) -> None:
-    with Studios(Stage.of(flight, Settings(), EPOCH_NS)) as studios:
-        process = studios._processes[side]
+    with RendererProcesses(Stage.of(flight, Settings(), EPOCH_NS)) as processes:
+        process = processes._processes[side]
         process.kill()
         process.join()
         with pytest.raises(DeviceError, match="renders the cameras' images has ended"):
-            studios.all([Pull(0, EPOCH_NS + 100 * MS, EPOCH_NS + 200 * MS)])
+            processes.all([ShotRequest(0, EPOCH_NS + 100 * MS, EPOCH_NS + 200 * MS)])

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from companion.core.pipeline import start, step
-from companion.evaluation.flight_evaluation import matches_of, pulls
+from companion.evaluation.flight_evaluation import matches_of, shot_requests
 from companion.evaluation.metrics import SETTLED_S, rms
-from companion.evaluation.rendered_shots import Stage, Studio
+from companion.evaluation.rendered_shots import ShotRenderer, Stage
 from companion.evaluation.shot_scores import collect, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
@@ -61,9 +61,9 @@ def fly_one_seed(airframe: Airframe, seed: int, duration_s: float, rate_hz: floa
     """One flight."""
     flight = build_flight(airframe, seed, duration_s, world=world)
     stage = Stage.of(flight, Settings(), HOST_EPOCH_NS)
-    judge, studio = TrueGeometry(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), Studio(stage)
+    judge, renderer = TrueGeometry(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), ShotRenderer(stage)
     edges_s = np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz)
-    shots = matches_of(studio.shoot(pull) for pull in pulls(edges_s, HOST_EPOCH_NS))
+    shots = matches_of(renderer.render(request) for request in shot_requests(edges_s, HOST_EPOCH_NS))
     state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
     records: list[Record] = []
     for record in in_order(flight, shots):

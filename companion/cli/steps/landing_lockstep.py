@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from companion.cli.steps.lockstep import LockStepService
 from companion.evaluation.landing.landing_rows import PathPoint, WatchedRange
-from companion.evaluation.rendered_shots import InProcessStudio, Stage
+from companion.evaluation.rendered_shots import InProcessRenderer, Stage
 from companion.service.config import ServiceConfig
 from companion.sim.landing.landing_flight import LandingFlight, RangeSource
 from companion.sim.landing.landing_vehicle import LandingWorld
@@ -20,7 +20,7 @@ class LandingService(LockStepService):
         self.path: list[PathPoint] = []
         world = LandingWorld(landing, wire, self._watched)
         self._ends_s = landing.longest_s
-        self._build(config, world, wire, InProcessStudio(Stage.of(world.flight, config.settings, EPOCH_NS)))
+        self._build(config, world, wire, InProcessRenderer(Stage.of(world.flight, config.settings, EPOCH_NS)))
 
     def over(self) -> bool:
         """Whether it stands on its wheels, has gone around, or has flown too long."""

@@ -18,7 +18,7 @@ from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.triggers.firing import WaitingPlan
 from companion.core.pipeline import start
-from companion.evaluation.rendered_shots import Pull, Stage, StudioPort, Studios
+from companion.evaluation.rendered_shots import RendererProcesses, ShotRequest, ShotSource, Stage
 from companion.live.session import LiveSession
 from companion.ports import Clock, Recorder
 from companion.records import FramePair, Record, Rejected, Shot, Side, TriggerPlan
@@ -44,8 +44,8 @@ class LockStepCameras:
     A shot is begun in another process when its line is pulled, and is waited for only when its matches are due.
     """
 
-    def __init__(self, flight: Flight, studios: StudioPort, clock: Clock, live: LiveSession | None = None) -> None:
-        self._studios = studios
+    def __init__(self, flight: Flight, shot_source: ShotSource, clock: Clock, live: LiveSession | None = None) -> None:
+        self._shot_source = shot_source
         self._clock = clock
         self._live = live
         self._shown_ns = 0
@@ -54,7 +54,7 @@ class LockStepCameras:
         self._lateness = flight.generator("fire late")
         self._sent_ns = 0
         self._reports: list[Shot | Rejected] = []
-        self._coming: deque[Pull] = deque()
+        self._coming: deque[ShotRequest] = deque()
         self._busy_until_ns = self._matched_ns = self._shots = 0
         self._edge_ns: int | None = None
 
@@ -89,7 +89,7 @@ class LockStepCameras:
         said: list[Record] = []
         now_ns = self._clock.now_ns()
         while self._coming and self._coming[0].matched_host_ns <= now_ns:
-            for record in self._studios.result(self._coming.popleft().shot):
+            for record in self._shot_source.result(self._coming.popleft().shot):
                 if not isinstance(record, FramePair):
                     said.append(record)
                 elif self._live is not None:
@@ -111,11 +111,11 @@ class LockStepCameras:
         self._matched_ns = max(self._busy_until_ns, self._matched_ns) + MATCHING_NS
         is_shown = self._live is not None and edge_ns - self._shown_ns >= _IMAGE_PERIOD_NS
         self._shown_ns = edge_ns if is_shown else self._shown_ns
-        pull = Pull(self._shots, edge_ns, self._matched_ns, is_shown, self._edge_ns)
+        request = ShotRequest(self._shots, edge_ns, self._matched_ns, is_shown, self._edge_ns)
         self._shots += 1
         self._edge_ns = edge_ns
-        self._coming.append(pull)
-        self._studios.begin(pull)
+        self._coming.append(request)
+        self._shot_source.begin(request)
 
 
 class _Unrecorded:
@@ -153,21 +153,21 @@ class LockStepService:
 
     def __init__(self, config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> None:
         wire = MemoryWire()
-        studios = Studios(Stage.of(flight, config.settings, EPOCH_NS))
-        self._build(config, World(flight, WorldOptions(), wire), wire, studios, live)
+        shot_source = RendererProcesses(Stage.of(flight, config.settings, EPOCH_NS))
+        self._build(config, World(flight, WorldOptions(), wire), wire, shot_source, live)
 
     def _build(
         self,
         config: ServiceConfig,
         world: World,
         wire: MemoryWire,
-        studios: StudioPort,
+        shot_source: ShotSource,
         live: LiveSession | None = None,
     ) -> None:
         """Join a vehicle, its link and its cameras with the live service's loop."""
         flight = world.flight
         self.world = world
-        self.studios = studios
+        self.shot_source = shot_source
         self.clock = LockStepClock(self.world)
         self._shown: list[Record] = []
         self._ends_s = flight.duration_s + _AFTER_S
@@ -178,7 +178,7 @@ class LockStepService:
         recorder: Recorder = _Unrecorded()
         if config.recording is not None:
             recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))
-        cameras = LockStepCameras(flight, self.studios, self.clock, live)
+        cameras = LockStepCameras(flight, self.shot_source, self.clock, live)
         self.loop = InertialLoop(
             state=start(config.airframe, config.settings),
             autopilot=autopilot,
@@ -195,7 +195,7 @@ class LockStepService:
     def __exit__(self, *_: object) -> None:
         self.loop.autopilot.close()
         self.loop.recorder.close()
-        self.studios.__exit__()
+        self.shot_source.close()
 
     def shown(self) -> list[Record]:
         """Records for the display since the last call."""
