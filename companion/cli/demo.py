@@ -21,7 +21,7 @@ from companion.cli.steps.numbers import flight_seconds, integer, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
 from companion.cli.terminal.progress import say
-from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.flight_evaluation import evaluate_flight
@@ -131,5 +131,5 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
             service.wait(real_s)
             view.progress = service.progress()
 
-        fly(service, view, service.over, live=live, wait=wait)
+        run_service(service, view, service.over, live=live, wait=wait)
     return EPOCH_NS, service.report()

@@ -17,7 +17,7 @@ from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, check_ending, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.terminal.progress import say
-from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.numbered_files import numbered_files
@@ -191,7 +191,9 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     began, before = time.monotonic(), _recordings(config.recording)
     keeper = LatencyKeeper(_latency_file(options), _path(options))
     try:
-        fly(Service(config), view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take)
+        run_service(
+            Service(config), view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take
+        )
     finally:
         keeper.keep()
     print(view.line(time.monotonic() - began).strip())

@@ -13,7 +13,7 @@ from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
 from companion.evaluation.replay import TICK_NS
 from companion.evaluation.true_geometry import TrueGeometry
-from companion.paper.shots import Answer, Flown, Usual, score
+from companion.paper.shots import Answer, Flown, SlopeSpread, score
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,
@@ -142,10 +142,10 @@ def fly(
 def _counted(run: _Run, from_ns: int) -> Flown:
     """Score every shot that counts; one without an answer is refused, whatever the reason."""
     counted = [pair_id for pair_id, shot in run.shots.items() if shot.mid_exposure_ns[0] >= from_ns]
-    usual = Usual.of(run.geometry.flight)
+    spread = SlopeSpread.of(run.geometry.flight)
     answered = [(run.shots[pair_id], run.answers[pair_id]) for pair_id in counted if pair_id in run.answers]
     shots = tuple(
-        score(run.geometry, usual, matches, answer, matches.plan_id != _RANDOM_PLAN) for matches, answer in answered
+        score(run.geometry, spread, matches, answer, matches.plan_id != _RANDOM_PLAN) for matches, answer in answered
     )
     refused = Counter(str(run.refused.get(pair_id, "no answer")) for pair_id in counted if pair_id not in run.answers)
     return Flown(shots, len(run.shots) - len(counted), dict(refused))

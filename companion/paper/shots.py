@@ -71,7 +71,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Usual:
+class SlopeSpread:
     """Spread of each tip's slope and slope rate over the flight, and the slope at rest; all (2,)."""
 
     slope_rad: Floats
@@ -79,7 +79,7 @@ class Usual:
     rest_rad: Floats
 
     @classmethod
-    def of(cls, flight: Flight) -> Usual:
+    def of(cls, flight: Flight) -> SlopeSpread:
         """From every tenth knot of the truth."""
         series = flight.truth.series(flight.truth.t_boot_ns[::10])
         rest = flight.model.tip_slope_rad(flight.model.q_static(1.0))
@@ -94,11 +94,11 @@ class Usual:
         return float(np.degrees(np.arctan2(speed, place)))
 
 
-def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> ScoredShot:
+def score(geometry: TrueGeometry, spread: SlopeSpread, matches: MatchSet, answer: Answer, planned: bool) -> ScoredShot:
     """Judge one shot by the truth."""
     flight, lens = geometry.flight, geometry.pair.rig.left.lens
     samples = [flight.truth.at(int(t_ns) - geometry.start_host_ns) for t_ns in matches.mid_exposure_ns]
-    slope = np.array([samples[side].slope_rad[side] for side in Side]) - usual.rest_rad
+    slope = np.array([samples[side].slope_rad[side] for side in Side]) - spread.rest_rad
     rate = np.abs([samples[side].slope_rate_radps[side] for side in Side])
     worse = int(np.argmax(rate))
     upper = _upper_third(matches, lens.size_px[1])
@@ -109,7 +109,7 @@ def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answe
         reject=answer.range.reject,
         tip_rad=(float(slope[0]), float(slope[1])),
         blur_px=lens.focal_px * matches.exposure_ns * 1e-9 * float(rate[worse]),
-        phase_deg=usual.phase_deg(worse, float(slope[worse]), float(rate[worse])),
+        phase_deg=spread.phase_deg(worse, float(slope[worse]), float(rate[worse])),
         sigma_m={"corrected": _sensors_sigma_m(geometry, matches, answer), "published": answer.range.sigma_m},
     )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View
 from companion.cli.terminal.waiting import FIRST_REPEAT_S, LONGEST_REPEAT_S, RepeatPause, waiting_text
 from companion.records import CorrectedRange, Health, Record, Reject, ServiceStatus
@@ -122,6 +122,6 @@ def test_an_error_output_that_cannot_be_written_ends_no_flight(monkeypatch: pyte
     service = Unheard()
     with contextlib.suppress(OSError), Path("/dev/full").open("w") as full:  # closing it fails, too
         monkeypatch.setattr(sys, "stderr", full)
-        fly(service, View("spanwise run"), lambda: service.looks > 3, live=False, wait=lambda _: None)
+        run_service(service, View("spanwise run"), lambda: service.looks > 3, live=False, wait=lambda _: None)
         monkeypatch.undo()
     assert service.looks == 4

@@ -18,7 +18,7 @@ from companion.evaluation.true_geometry import TrueReading
 from companion.paper import beam_tables, equations, fig_4, misprints, printed, range_tables, report
 from companion.paper.findings import Section, number, percent
 from companion.paper.scores import errors
-from companion.paper.shots import Usual
+from companion.paper.shots import SlopeSpread
 from companion.paper.trials import FULL, QUICK, REPEATED, SEEDS, SETTLE_S, Pace, flight_plan, trials
 from companion.params.files import load_airframe
 
@@ -155,10 +155,12 @@ def test_scores_of_nothing_are_not_numbers() -> None:
 @pytest.mark.parametrize("phase_deg", [0.0, 12.0, 45.0, 80.0, 90.0])
 def test_the_phase_of_a_sine_counts_from_its_peaks(phase_deg: float) -> None:
     amplitude, omega, angle = 0.003, 37.0, math.radians(phase_deg)
-    usual = Usual(np.full(2, amplitude / math.sqrt(2)), np.full(2, amplitude * omega / math.sqrt(2)), np.zeros(2))
+    spread = SlopeSpread(
+        np.full(2, amplitude / math.sqrt(2)), np.full(2, amplitude * omega / math.sqrt(2)), np.zeros(2)
+    )
     for turn in (angle, math.pi - angle, math.pi + angle, -angle):
         slope, rate = amplitude * math.cos(turn), -amplitude * omega * math.sin(turn)
-        assert usual.phase_deg(1, slope, rate) == pytest.approx(phase_deg, abs=1e-9)
+        assert spread.phase_deg(1, slope, rate) == pytest.approx(phase_deg, abs=1e-9)
 
 
 def test_numbers_are_written_as_a_person_would() -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli.steps.simulated_devices import frames_path, line_path
-from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View
 from companion.cli.vehicle import open_cameras
 from companion.errors import DeviceError
@@ -80,7 +80,7 @@ def fly_in_real_time(config: ServiceConfig, flight: Flight, view: View, *, live:
             cameras=functools.partial(SimCameraPair, frames_path(Path(folder))),
             trigger=functools.partial(SimTriggerLine, line_path(Path(folder))),
         )
-        fly(Service(config), view, vehicle.ended, live=live)
+        run_service(Service(config), view, vehicle.ended, live=live)
     return vehicle.start_host_ns, vehicle.report
 
 

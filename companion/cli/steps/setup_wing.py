@@ -13,7 +13,7 @@ from companion.cli.doctor import diagnose
 from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, read_settings
 from companion.cli.steps.wing_guide import GuideStep, WingGuide
-from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View
 from companion.doctor.examine import Examination
 from companion.errors import TO_FIX, ConfigError
@@ -167,7 +167,7 @@ def _first_range(options: argparse.Namespace, airframe: str) -> list[GuideStep]:
 
     began_ns = clock.now_ns()
     view = View(f"spanwise setup wing on {', '.join(options.connect)}", options.range_within)
-    fly(Service(config), view, lambda: bool(trusted) or clock.now_ns() > ends_ns, live=False, each=take)
+    run_service(Service(config), view, lambda: bool(trusted) or clock.now_ns() > ends_ns, live=False, each=take)
     took_s = (clock.now_ns() - began_ns) * 1e-9
     if trusted:
         step = GuideStep("range", f"{trusted[0].range_m:.2f} ±{trusted[0].sigma_m:.2f} m after {took_s:.0f} s")

@@ -40,7 +40,7 @@ class RunningService(Protocol):
         ...
 
 
-def fly(
+def run_service(
     service: RunningService,
     view: View,
     ended: Callable[[], bool],
@@ -64,7 +64,7 @@ def fly(
     with service, _screen() if live else _Lines() as screen:
         pause = RepeatPause(_LINE_S)
         while not ended():
-            _look(service, view, each)
+            _collect(service, view, each)
             elapsed_s = time.monotonic() - began
             if not live:
                 _print(view.sentences(), elapsed_s)
@@ -79,7 +79,7 @@ def fly(
             wait(_DRAW_S)
 
 
-def _look(service: RunningService, view: View, each: Callable[[Record], None] | None) -> None:
+def _collect(service: RunningService, view: View, each: Callable[[Record], None] | None) -> None:
     """Take what the service shows, and what it had to do."""
     for record in service.shown():
         view.take(record)
