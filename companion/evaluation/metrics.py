@@ -26,7 +26,6 @@ class Scored:
     Arrays (n,): exposure instant, true range, and measured inverse range, 1/m, zero or negative beyond infinity.
     """
 
-    name: str
     baseline_m: float
     t_s: Floats
     z_true_m: Floats

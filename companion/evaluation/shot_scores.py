@@ -98,8 +98,8 @@ def score_shots(geometry: TrueGeometry, outputs: PipelineOutputs) -> Shots:
     rows: list[tuple[int, float, dict[str, TrueReading]]] = []
     for pair_id in sorted(outputs.bends):
         matches = outputs.matches[pair_id]
-        t_s = (float(matches.mid_exposure_ns.mean()) - geometry.start_host_ns) * 1e-9
-        if t_s < SETTLED_S:
+        shot_s = (float(matches.mid_exposure_ns.mean()) - geometry.start_host_ns) * 1e-9
+        if shot_s < SETTLED_S:
             continue
         readings = {
             "rigid": geometry.rigid(matches),
@@ -110,8 +110,14 @@ def score_shots(geometry: TrueGeometry, outputs: PipelineOutputs) -> Shots:
         }
         complete = {name: reading for name, reading in readings.items() if reading is not None}
         if len(complete) == len(readings):
-            rows.append((pair_id, t_s, complete))
-    return Shots([row[0] for row in rows], np.array([row[1] for row in rows]), _ways(geometry, rows))
+            rows.append((pair_id, shot_s, complete))
+    t_s = np.array([shot_s for _, shot_s, _ in rows])
+    ways = {}
+    for name in WAYS:
+        inverse_pm = np.array([readings[name].inverse_pm for _, _, readings in rows])
+        true_m = np.array([1.0 / readings[name].true_inverse_pm for _, _, readings in rows])
+        ways[name] = Scored(geometry.baseline_m, t_s, true_m, inverse_pm)
+    return Shots([pair_id for pair_id, _, _ in rows], t_s, ways)
 
 
 def paired(shots: Shots, other: Shots) -> dict[str, Any]:
@@ -127,13 +133,3 @@ def paired(shots: Shots, other: Shots) -> dict[str, Any]:
         comparison["rms_mrad"] = {"corrected": 1e3 * rms(error), "other": 1e3 * rms(other_error)}
         comparison["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
     return comparison
-
-
-def _ways(geometry: TrueGeometry, rows: list[tuple[int, float, dict[str, TrueReading]]]) -> dict[str, Scored]:
-    t_s = np.array([row[1] for row in rows])
-    ways = {}
-    for name in WAYS:
-        inverse = np.array([row[2][name].inverse_pm for row in rows])
-        true_m = np.array([1.0 / row[2][name].true_inverse_pm for row in rows])
-        ways[name] = Scored(name, geometry.baseline_m, t_s, true_m, inverse)
-    return ways

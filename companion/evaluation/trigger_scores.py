@@ -9,7 +9,6 @@ state when the plan is made, but no later gust: it predicts a free decay from th
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,16 +27,8 @@ _SAME_SHOT_NS = 20_000_000  # shots are 33 ms apart at least, TRG_RATE 30 Hz (de
 _RANDOM_SEED = 0xC4A  # convention: keeps these instants apart from the flight's own draws
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Peaks:
-    """Instants (s of boot time) of the true peaks of deflection and toe."""
-
-    deflection_s: Floats
-    toe_s: Floats
-
-
-def true_peaks(flight: Flight) -> Peaks:
-    """Find both kinds of peaks in the flight's truth."""
+def true_peaks_s(flight: Flight) -> dict[str, Floats]:
+    """Instants (s of boot time) of the true peaks of ``deflection`` and ``toe``."""
     truth, rate_hz = flight.truth, 1e9 / STEP_NS
     column = dominating(flight)
     frequency_hz = float(flight.model.omega_radps[column]) / (2.0 * np.pi)
@@ -47,7 +38,7 @@ def true_peaks(flight: Flight) -> Peaks:
     fast = np.asarray(sosfiltfilt(butter(2, FAST_HZ, "highpass", fs=rate_hz, output="sos"), toe))
     stands_out = [find_peaks(sign * fast, prominence=rms(fast))[0] for sign in (1.0, -1.0)]
     toe_s: Floats = np.sort(np.concatenate(stands_out)) * np.float64(STEP_NS * 1e-9)
-    return Peaks(_extremes_s(np.asarray(sosfiltfilt(band, modal)), STEP_NS * 1e-9), toe_s)
+    return {"deflection": _extremes_s(np.asarray(sosfiltfilt(band, modal)), STEP_NS * 1e-9), "toe": toe_s}
 
 
 def dominating(flight: Flight) -> int:
@@ -65,11 +56,11 @@ def trigger_scores(
     ``start_host_ns`` is the host time of boot time 0.
     """
     aimed = _aimed(list(plans), matches, start_host_ns)
-    peaks, free = true_peaks(flight), _FreeVibration(flight)
+    free = _FreeVibration(flight)
     random_s = _random_instants_s(flight)
     fired_s = np.array([shot_s for shot_s, _ in aimed])
     scores: dict[str, Any] = {"shots": len(aimed)}
-    for name, true_s in (("deflection", peaks.deflection_s), ("toe", peaks.toe_s)):
+    for name, true_s in true_peaks_s(flight).items():
         limit_s = np.array([free.peak_s(planned_s, shot_s, name) for shot_s, planned_s in aimed])
         scores[f"{name}_peak_ms"] = {
             way: spread(_nearest_s(instants, true_s), 1e3)

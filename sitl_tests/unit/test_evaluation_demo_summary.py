@@ -19,7 +19,7 @@ def shots(t_s: list[float], toe_error_rad: list[float]) -> Shots:
     """Shots at 60 m with stated errors."""
     true_m = np.full(len(t_s), 60.0)
     inverse = 1.0 / true_m + np.array(toe_error_rad) / BASELINE_M
-    scored = Scored("corrected", BASELINE_M, np.array(t_s), true_m, inverse)
+    scored = Scored(BASELINE_M, np.array(t_s), true_m, inverse)
     return Shots(list(range(len(t_s))), scored.t_s, {"corrected": scored})
 
 

@@ -9,7 +9,7 @@ from companion.evaluation.metrics import Scored, range_summary, slow_part, toe_s
 
 
 def test_toe_error_is_the_divergence_that_shortened_the_range() -> None:
-    scored = Scored("x", 1.98, np.array([0.0]), np.array([60.0]), np.array([1 / 60.0 + 4.5e-3 / 1.98]))
+    scored = Scored(1.98, np.array([0.0]), np.array([60.0]), np.array([1 / 60.0 + 4.5e-3 / 1.98]))
     assert scored.toe_error_rad[0] == pytest.approx(4.5e-3)
     assert scored.range_m[0] == pytest.approx(52.8, abs=0.05)
 
@@ -30,7 +30,7 @@ def test_a_straight_line_is_slow_to_its_very_ends() -> None:
 
 def test_ranges_beyond_infinity_are_counted_and_never_a_number() -> None:
     inverse = np.array([1 / 61.0, -0.001, -0.002, 1 / 60.0])
-    scored = Scored("rigid", 1.98, np.arange(4.0), np.full(4, 60.0), inverse)
+    scored = Scored(1.98, np.arange(4.0), np.full(4, 60.0), inverse)
     entry = range_summary(scored)["60"]
     assert isinstance(entry, dict)
     assert entry["beyond"] == 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.evaluation.trigger_scores import dominating, trigger_scores, true_peaks
+from companion.evaluation.trigger_scores import dominating, trigger_scores, true_peaks_s
 from companion.params.files import load_airframe
 from companion.records import ClockName, Firing, MatchSet, TriggerPlan
 from companion.sim.flight.flight import Flight, build_flight
@@ -45,8 +45,8 @@ def test_random_instants_score_as_chance_has_it(flight: Flight) -> None:
 
 
 def test_shots_at_the_peaks_score_zero_and_gain_what_there_is(flight: Flight) -> None:
-    peaks = true_peaks(flight)
-    wanted = peaks.deflection_s[(peaks.deflection_s > 12.0) & (peaks.deflection_s < 38.0)][::5]
+    peaks = true_peaks_s(flight)
+    wanted = peaks["deflection"][(peaks["deflection"] > 12.0) & (peaks["deflection"] < 38.0)][::5]
     scores = trigger_scores(flight, *aimed(wanted, 0.01), START_NS)
     assert scores["shots"] == len(wanted)
     assert scores["deflection_peak_ms"]["at_plan"]["p95"] < 1.0
@@ -57,14 +57,14 @@ def test_shots_at_the_peaks_score_zero_and_gain_what_there_is(flight: Flight) ->
 
 def test_the_symmetric_mode_dominates_and_its_peaks_are_where_the_rate_turns(flight: Flight) -> None:
     column = dominating(flight)
-    peaks = true_peaks(flight)
+    peaks = true_peaks_s(flight)
     modal = flight.model.present(flight.truth.derivatives[:, MODAL])
     assert np.std(modal[:, column]) == np.max(np.std(modal, axis=0))
     frequency_hz = float(flight.model.omega_radps[column]) / (2 * np.pi)
-    assert np.mean(np.diff(peaks.deflection_s)) == pytest.approx(0.5 / frequency_hz, rel=0.1)
+    assert np.mean(np.diff(peaks["deflection"])) == pytest.approx(0.5 / frequency_hz, rel=0.1)
     toe_rate = flight.truth.derivatives[:, MODAL] @ flight.truth.shape.slope_radpm.sum(axis=0)
     still = int(np.sum(toe_rate[:-1] * toe_rate[1:] < 0.0))
-    assert len(peaks.toe_s) < 0.9 * still, "a moment of stillness on the way is no peak"
+    assert len(peaks["toe"]) < 0.9 * still, "a moment of stillness on the way is no peak"
 
 
 def test_no_aimed_shot_is_no_score(flight: Flight) -> None:
