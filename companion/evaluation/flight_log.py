@@ -95,8 +95,7 @@ class FlightLog:
     notices: list[Notice] = field(default_factory=list)
     delays_s: list[float] = field(default_factory=list)
     refused: list[Rejected] = field(default_factory=list)
-    _plans: dict[int, TriggerPlan] = field(default_factory=dict)
-    _planned_at_m: dict[int, float] = field(default_factory=dict)
+    _plans: dict[int, tuple[TriggerPlan, float]] = field(default_factory=dict)
     _stopped: dict[int, int] = field(default_factory=dict)
     _newest_plan: int = -1
     _range_m: float = float("nan")
@@ -134,7 +133,7 @@ class FlightLog:
         self._newest_plan = plan.plan_id
         self._stopped.pop(plan.plan_id, None)
         if plan.firing is not Firing.SKIP:
-            self._plans[plan.plan_id], self._planned_at_m[plan.plan_id] = plan, self._range_m
+            self._plans[plan.plan_id] = plan, self._range_m
         elif plan.reject is Reject.STALE:
             self._stopped[plan.plan_id] = plan.planned_host_ns
 
@@ -183,7 +182,8 @@ class FlightLog:
 
     def blur_px(self) -> tuple[Floats, Floats]:
         """Predicted blur (n,) of each plan to fire, px, and the last range (n,) when made, m (NaN before any)."""
-        return np.array([plan.blur_px for plan in self._plans.values()]), np.array(list(self._planned_at_m.values()))
+        plans = self._plans.values()
+        return np.array([plan.blur_px for plan, _ in plans]), np.array([range_m for _, range_m in plans])
 
     def plan_outcomes(self) -> dict[str, int]:
         """How many plans came to each end; those made after the last sample have an end of their own."""

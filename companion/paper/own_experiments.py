@@ -30,15 +30,21 @@ _PUBLISHED_WAY = {"published": "published_trusted"}  # what leaves the service
 _TOLD_APART = {"corrected": -0.002, "published": 0.002}  # of the axis: dots of one shot lie beside each other
 _STEP = 0.2  # drawing: bar width, in groups (choice)
 _MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors (derived)
-_WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
+WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
+"""Experiments of Table 3's objects, and of Table 4."""
+
+BOOM = ("boom_1m", "boom_2m")
+"""The boom under a steady sine, of which the paper claims but one figure."""
+
+BOOM_CLAIM = f"> {printed.BEAM_REMOVED_PERCENT:.0f} % removed"
 
 
 def section(results: Results) -> Section:
     """Both platforms, steady and random."""
     peaks = {key: results.peaks[key] for key in results.of_paper}
-    boom = [peaks[key]["removed"] for key in ("boom_1m", "boom_2m")]
+    boom = [peaks[key]["removed"] for key in BOOM]
     far = peaks["wing_60m"]
-    ranges = {key: diverging_ranges_m(results.outcomes[key]) for key in _WING}
+    ranges = {key: diverging_ranges_m(results.outcomes[key]) for key in WING}
     findings = (
         f"2 m wing at 60 m: {rms_error(far['rigid'], 1)} of error becomes "
         f"{rms_error(far['corrected'])}; the paper extrapolates {printed.FAR_ERROR_PERCENT} % to "
@@ -103,8 +109,8 @@ def _error_table(results: Results) -> Table:
         trial, peak = results.outcomes[key].trial, results.peaks[key]
         before, after = trial.paper_before_percent, trial.paper_after_percent
         paper = "-" if before is None else f"{before} %, {after} %"
-        if key in ("boom_1m", "boom_2m"):
-            paper = f"> {printed.BEAM_REMOVED_PERCENT:.0f} % removed"
+        if key in BOOM:
+            paper = BOOM_CLAIM
         rigid, corrected, published, oracle = (
             rms_error(peak[way], 3) for way in ("rigid", "corrected", "published", "oracle")
         )
@@ -124,7 +130,7 @@ def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
     entries = [(entry.name, entry.still_m, entry.vibrating_m, entry.corrected_m) for entry in printed.OBJECTS]
     entries.append(("60 m (Table 4)", printed.FAR_M, printed.FAR_VIBRATING_M, printed.FAR_CORRECTED_M))
     rows = []
-    for key, (name, still, vibrating, corrected) in zip(_WING, entries, strict=True):
+    for key, (name, still, vibrating, corrected) in zip(WING, entries, strict=True):
         ours = ranges[key]
         digits = 3 if still < 10.0 else 2
         rows.append((
