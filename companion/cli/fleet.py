@@ -21,7 +21,7 @@ from companion.evaluation.fleet.file_task import tasks_of
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv
 from companion.evaluation.fleet.runner import Row
-from companion.evaluation.fleet.trends import findings, losses, unremarkable
+from companion.evaluation.fleet.trends import sentences
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
@@ -68,7 +68,7 @@ def execute(options: argparse.Namespace) -> int:
     tables = _write_tables(ordered, options.out)
     (options.out / "fleet.html").write_text(page.render(options.kind, ordered), encoding="utf-8")
     good = [row for row in ordered if not row.get("failed")]
-    for sentence in [*findings(good), *losses(good), *unremarkable(good)]:
+    for sentence in sentences(good):
         print(f"  {sentence}")
     print(f"{len(good)} of {len(ordered)} files; wrote {options.out / 'fleet.html'}, {tables}")
     if not good:

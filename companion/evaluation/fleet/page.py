@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.evaluation.fleet.file_task import reason_alone
-from companion.evaluation.fleet.trends import findings, losses, unremarkable
+from companion.evaluation.fleet.trends import sentences
 from companion.reporting import page, plotting
 from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed
@@ -61,9 +61,9 @@ def render(kind: str, rows: Rows) -> str:
 
 
 def _body(rows: Rows, good: Rows) -> Iterator[Block]:
-    sentences = [*findings(good), *losses(good), *unremarkable(good)]
-    if sentences:
-        yield Findings(sentences)
+    said = sentences(good)
+    if said:
+        yield Findings(said)
     yield from _frequencies(good)
     failed = [row for row in rows if row.get("failed")]
     if failed:

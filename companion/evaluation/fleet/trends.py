@@ -75,6 +75,11 @@ _SENSORS = (*_RATES, *_NOISES)
 _FIGURES = (*_MODES, *_DAMPINGS, *_SENSORS)
 
 
+def sentences(rows: Rows) -> list[str]:
+    """Everything that is said of a fleet: what stands out, what files lack, and whose flights are unremarkable."""
+    return [*findings(rows), *losses(rows), *unremarkable(rows)]
+
+
 def findings(rows: Rows) -> list[str]:
     """All sentences: effects that recur, then drifts, then single flights; each kind's clearest first."""
     drifts: list[tuple[float, str]] = []

@@ -53,13 +53,9 @@ def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
 
 
 def _causes(plain: dict[str, Any]) -> list[Block]:
-    causes = plain["causes"]
-    if not causes:
-        return []
-    rows = [_cause_row(cause) for cause in causes]
-    blocks: list[Block] = [Heading("Causes, strongest first")]
-    blocks.append(Table(["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"], rows))
-    return blocks
+    rows = [_cause_row(cause) for cause in plain["causes"]]
+    heads = ["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"]
+    return [Heading("Causes, strongest first"), Table(heads, rows)] if rows else []
 
 
 def _advices(plain: dict[str, Any]) -> list[Block]:
