@@ -158,8 +158,8 @@ def _feedback(evidence: Evidence) -> Iterator[Finding]:
 
 def _planned(counts: dict[str, int]) -> Finding:
     """Outcomes of a recording's plans to fire, and the fix where too many came to nothing."""
-    text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
-    tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
+    text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
+    tried = sum(counts.get(outcome, 0) for outcome in (FIRED, LATE, FAILED))
     if counts.get(FAILED, 0) > _LOST * tried:
         return Finding.fix("shots", text + ": is a camera set up on that line, and free at TRG_RATE?")
     if counts.get(LATE, 0) > _LOST * tried:
