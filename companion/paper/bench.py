@@ -66,7 +66,7 @@ def still_plan(duration_s: float) -> FlightPlan:
     return FlightPlan(duration_s, 0.0, 0.0, (), (), (), 0.0, 0.0, 0.0, 0.0)
 
 
-def hang(setup: Setup) -> Flight:
+def laboratory_flight(setup: Setup) -> Flight:
     """Make the experiment happen: truth drawn from the airframe's priors, drive, sensors."""
     rng = np.random.default_rng([setup.seed, 0xBE])
     real = draw_truth(setup.airframe, rng)
@@ -82,7 +82,7 @@ def hang(setup: Setup) -> Flight:
     return Flight(setup.airframe, real, model, truth, plan, setup.seed, {}, nodes)
 
 
-def target(setup: Setup) -> Scene:
+def target_scene(setup: Setup) -> Scene:
     """A flat textured target across the sight, at the distance from the cameras."""
     if setup.airframe.looks_down:
         return Scene((ground(),), setup.seed)
@@ -190,6 +190,6 @@ def _stream(truth: FlightTruth, model: WingModel, real: TruthAirframe, setup: Se
     return node_stream(sensor, clock, setup.duration_s, np.random.default_rng([setup.seed, 1, station]))
 
 
-def rested(setup: Setup, distance_m: float) -> Setup:
+def at_rest(setup: Setup, distance_m: float) -> Setup:
     """The same aircraft at rest before a target elsewhere, for calibration: the same truth is drawn."""
     return dataclasses.replace(setup, drive=Drive.STILL, amplitude_m=0.0, distance_m=distance_m, duration_s=2.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.paper.bench import Setup, hang, target
+from companion.paper.bench import Setup, laboratory_flight, target_scene
 from companion.paper.loop import fly
 from companion.paper.rest_calibration import calibrate, settings_for
 from companion.paper.shots import Flown
@@ -67,7 +67,7 @@ def _prepared(trial: Trial, pace: Pace, seed: int) -> tuple[Flight, Scene, Setti
         return build_flight(airframe, seed, plan=flight_plan(trial, pace)), ground_scene(seed), settings
     settings = settings_for(settings, trial.distance_m)
     setup = Setup(airframe, trial.drive, trial.amplitude_m, trial.distance_m, seed, pace.duration_s)
-    flight = hang(setup)
+    flight = laboratory_flight(setup)
     if trial.calibrated_at_m:
         flight = dataclasses.replace(flight, airframe=calibrate(setup, settings, trial.calibrated_at_m))
-    return flight, target(setup), settings
+    return flight, target_scene(setup), settings

@@ -20,7 +20,7 @@ from companion.core.stereo.matching import match_pair
 from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
-from companion.paper.bench import Setup, hang, rested, target
+from companion.paper.bench import Setup, at_rest, laboratory_flight, target_scene
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.settings import Settings
 from companion.records import Floats, MatchSet
@@ -36,7 +36,7 @@ _COMMON_PX = 0.02  # chosen: what all matches of a picture may share (core/stere
 
 def calibrate(setup: Setup, settings: Settings, distances_m: Sequence[float]) -> Airframe:
     """The airframe as the calibration leaves it; ``setup`` names aircraft and seed."""
-    views = [(_pictures(rested(setup, z), settings_for(settings, z)), z) for z in distances_m]
+    views = [(_pictures(at_rest(setup, z), settings_for(settings, z)), z) for z in distances_m]
     theta = np.zeros(5)
     for _ in range(_STEPS):
         residual = _residuals(setup.airframe, views, theta)
@@ -59,8 +59,8 @@ def settings_for(settings: Settings, distance_m: float) -> Settings:
 
 
 def _pictures(setup: Setup, settings: Settings) -> list[MatchSet]:
-    flight = hang(setup)
-    renderer = Renderer(flight.real.actual, flight.truth, target(setup), setup.seed)
+    flight = laboratory_flight(setup)
+    renderer = Renderer(flight.real.actual, flight.truth, target_scene(setup), setup.seed)
     shutters = Shutters(flight.real.actual, setup.seed)
     rig = Rig.from_airframe(setup.airframe)
     search = trim_search(rig, setup.airframe, settings)

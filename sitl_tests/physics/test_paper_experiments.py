@@ -13,7 +13,7 @@ from companion.core.stereo.matching import match_pair
 from companion.core.stereo.search import trim_search
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.paper import experiments, scores, trials
-from companion.paper.bench import Drive, Setup, hang, target
+from companion.paper.bench import Drive, Setup, laboratory_flight, target_scene
 from companion.paper.rest_calibration import calibrate, settings_for
 from companion.paper.untried import forward_errors_px
 from companion.params.files import load_airframe
@@ -24,7 +24,7 @@ from companion.sim.vision.renderer import Renderer
 
 def test_the_driven_wing_swings_as_wide_as_it_should() -> None:
     for name, drive, wanted in (("paper-flying-wing", Drive.SINE, 0.0018), ("paper-beam", Drive.SHAKER_SINE, 0.00056)):
-        flight = hang(Setup(load_airframe(name), drive, wanted, 2.0, seed=1, duration_s=3.0))
+        flight = laboratory_flight(Setup(load_airframe(name), drive, wanted, 2.0, seed=1, duration_s=3.0))
         q = flight.truth.knots[:, 12]
         assert 0.5 * (q.max() - q.min()) == pytest.approx(wanted, rel=0.02)
 
@@ -33,7 +33,7 @@ def test_the_driven_wing_swings_as_wide_as_it_should() -> None:
 def test_the_shaken_clamp_is_felt_at_the_root() -> None:
     """The path's acceleration and the load factor that drives the wing are one."""
     setup = Setup(load_airframe("paper-beam"), Drive.SHAKER_NOISE, 0.0004, 1.5, seed=2, duration_s=3.0)
-    truth = hang(setup).truth
+    truth = laboratory_flight(setup).truth
     fine = truth.series(np.arange(1_000_000_000, 1_100_000_000, 100_000, dtype=np.int64))
     speed_up = -fine.velocity_ned_mps[:, 2]
     accel = np.gradient(speed_up, 1e-4)
@@ -68,8 +68,8 @@ def test_a_calibration_at_rest_is_as_good_as_it_says(seed: int) -> None:
     assert 0 < calibrated.left_camera.focal_px.sigma < setup.airframe.left_camera.focal_px.sigma
     errors = []
     for airframe in (setup.airframe, calibrated):
-        flight = dataclasses.replace(hang(setup), airframe=airframe)
-        renderer = Renderer(flight.real.actual, flight.truth, target(setup), seed)
+        flight = dataclasses.replace(laboratory_flight(setup), airframe=airframe)
+        renderer = Renderer(flight.real.actual, flight.truth, target_scene(setup), seed)
         rig = Rig.from_airframe(airframe)
         pair = render_pair(renderer, Shutters(flight.real.actual, seed), 1_000_000_000, 0)
         matches = match_pair(pair, rig, trim_search(rig, airframe, settings), 0)
