@@ -16,7 +16,7 @@ from typing import Any
 from companion.cli.steps.demo_realtime import fly_in_real_time
 from companion.cli.steps.landing_demo import land
 from companion.cli.steps.live_view import add_live, live_session, read_live
-from companion.cli.steps.lockstep import LockStepService
+from companion.cli.steps.lockstep import lock_step_service
 from companion.cli.steps.numbers import flight_seconds, integer, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
@@ -124,7 +124,7 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
         began_host_ns=EPOCH_NS,
     )  # fmt: skip
     with live_session(config.live, subject) as watched:
-        service = LockStepService(config, flight, watched)
+        service = lock_step_service(config, flight, watched)
         view.progress = service.progress()
 
         def wait(real_s: float) -> None:

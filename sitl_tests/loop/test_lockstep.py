@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras, LockStepService
+from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras, lock_step_service
 from companion.errors import DeviceError
 from companion.evaluation import shot_scores
 from companion.evaluation.rendered_shots import RendererProcesses, ShotRecords, ShotRenderer, ShotRequest, Stage
@@ -71,7 +71,7 @@ def test_the_end_of_a_flight_is_no_fault_of_its_vehicle() -> None:
     """Else the recording ends with messages that come at 0 Hz and a service that is critical."""
     airframe = load_airframe("nadir-2m")
     flight = build_flight(airframe, 3, 4.0)
-    with LockStepService(ServiceConfig(airframe, Settings(trigger_policy=2), ()), flight) as service:
+    with lock_step_service(ServiceConfig(airframe, Settings(trigger_policy=2), ()), flight) as service:
         while not service.over():
             service.wait(1.0)
         said = service.shown()

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.cli.steps.lockstep import LockStepService
+from companion.cli.steps.lockstep import lock_step_service
 from companion.evaluation.flight_evaluation import vertical_only
 from companion.evaluation.metrics import DISTANCES_M, FAST_HZ, near, slow_part
 from companion.evaluation.rendered_shots import Stage
@@ -52,7 +52,7 @@ def fly_pair(airframe: Airframe, seed: int, duration_s: float) -> Paired:
     judge = TrueGeometry(flight, stage.renderer(), settings, EPOCH_NS)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "flight.mcap"
-        with LockStepService(ServiceConfig(airframe, settings, (), recording=recording), flight) as service:
+        with lock_step_service(ServiceConfig(airframe, settings, (), recording=recording), flight) as service:
             while not service.over():
                 service.wait(1.0)
         opened = open_recording(recording)

@@ -19,8 +19,7 @@ class LandingService(LockStepService):
         self.landing = landing
         self.path: list[PathPoint] = []
         world = LandingWorld(landing, wire, self._watched)
-        self._ends_s = landing.longest_s
-        self._build(config, world, wire, InProcessRenderer(Stage.of(world.flight, config.settings, EPOCH_NS)))
+        super().__init__(config, world, wire, InProcessRenderer(Stage.of(world.flight, config.settings, EPOCH_NS)))
 
     def over(self) -> bool:
         """Whether it stands on its wheels, has gone around, or has flown too long."""

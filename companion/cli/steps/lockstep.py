@@ -147,16 +147,11 @@ class _Watched:
 class LockStepService:
     """Stands where :class:`companion.service.wiring.Service` stands, together with the vehicle. A context manager.
 
-    Connections, devices and parameter file of ``config`` are not looked at; ``flight`` is what the vehicle flies, and
-    ``live`` shows it meanwhile.
+    Connections, devices and parameter file of ``config`` are not looked at. ``world`` is the vehicle at the other end
+    of ``wire``, ``shot_source`` its cameras; ``live`` shows it meanwhile.
     """
 
-    def __init__(self, config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> None:
-        wire = MemoryWire()
-        shot_source = RendererProcesses(Stage.of(flight, config.settings, EPOCH_NS))
-        self._build(config, World(flight, WorldOptions(), wire), wire, shot_source, live)
-
-    def _build(
+    def __init__(
         self,
         config: ServiceConfig,
         world: World,
@@ -164,7 +159,6 @@ class LockStepService:
         shot_source: ShotSource,
         live: LiveSession | None = None,
     ) -> None:
-        """Join a vehicle, its link and its cameras with the live service's loop."""
         flight = world.flight
         self.world = world
         self.shot_source = shot_source
@@ -234,3 +228,10 @@ class LockStepService:
     def report(self) -> dict[str, Any]:
         """Counts of what the vehicle received."""
         return self.world.report()
+
+
+def lock_step_service(config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> LockStepService:
+    """The service with a vehicle that flies ``flight``, whose images two processes render."""
+    wire = MemoryWire()
+    shot_source = RendererProcesses(Stage.of(flight, config.settings, EPOCH_NS))
+    return LockStepService(config, World(flight, WorldOptions(), wire), wire, shot_source, live)
