@@ -28,7 +28,7 @@ _RANDOM_SEED = 0xC4A  # convention: keeps these instants apart from the flight's
 
 
 def true_peaks_s(flight: Flight) -> dict[str, Floats]:
-    """Instants (s of boot time) of the true peaks of ``deflection`` and ``toe``."""
+    """Instants (n,) (s of boot time) of the true peaks of ``deflection`` and ``toe``."""
     truth, rate_hz = flight.truth, 1e9 / STEP_NS
     column = dominating(flight)
     frequency_hz = float(flight.model.omega_radps[column]) / (2.0 * np.pi)
