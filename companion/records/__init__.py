@@ -77,7 +77,7 @@ __all__ = [
     "AXIS_LETTERS", "OVERLOADED", "PLAN_UNKNOWN", "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback",
     "ClockName", "ClockRestart", "ClockState", "Complexes", "CorrectedRange", "Deflection", "Firing", "Floats", "Flow",
     "Frame", "FramePair", "Health", "ImuBatch", "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState",
-    "NoRange", "Notice", "ObstacleSectors", "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected",
-    "RelativeRotation", "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency",
-    "TriggerPlan", "Validity", "VehicleState",
+    "NoRange", "Notice", "ObstacleSectors", "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject",
+    "Rejected", "RelativeRotation", "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply",
+    "TriggerLatency", "TriggerPlan", "Validity", "VehicleState",
 ]  # fmt: skip
