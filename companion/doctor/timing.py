@@ -142,11 +142,13 @@ def check_clocks(evidence: Evidence) -> Iterator[Finding]:
 
 def _unanswered(clock: ClockName, axes: Axis) -> Finding:
     """A clock of which nothing is known; a node's is aligned by the motion that its ``axes`` show."""
-    text = f"{clock}: TIMESYNC is not answered; "
+    unused = f"{clock}: TIMESYNC is not answered; its samples cannot be used"
     if clock is ClockName.BOOT:
-        return Finding.fix("clock", f"{text}its samples cannot be used")
+        return Finding.fix("clock", unused)
     if not axes & (Axis.GYRO | Axis.Z):
-        return Finding.fix("clock", f"{text}its samples cannot be used: node firmware without TIMESYNC?")
-    way = _WAYS[bool(axes & Axis.GYRO)]
-    text += f"it will be aligned by {way} (tools/wing_node has a firmware that answers: 0.1 ms)"
+        return Finding.fix("clock", f"{unused}: node firmware without TIMESYNC?")
+    text = (
+        f"{clock}: TIMESYNC is not answered; it will be aligned by {_WAYS[bool(axes & Axis.GYRO)]} "
+        "(tools/wing_node has a firmware that answers: 0.1 ms)"
+    )
     return Finding.note("clock", text)

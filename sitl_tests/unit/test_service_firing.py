@@ -82,7 +82,7 @@ def test_run_fires_through_the_autopilot_only_when_it_is_told_to(
     configs: list[Any] = []
     monkeypatch.setattr(run.signal, "signal", lambda *_: None)  # pytest keeps its own Ctrl-C
     monkeypatch.setattr(run, "Service", lambda config: config)
-    monkeypatch.setattr(run, "fly", lambda config, *rest, **more: configs.append(config))
+    monkeypatch.setattr(run, "run_service", lambda config, *rest, **more: configs.append(config))
     parser = argparse.ArgumentParser()
     run.add_arguments(parser)
     common = ["--connect", "udpin:127.0.0.1:1", "--airframe", "nadir-2m", "--parameters", str(tmp_path / "kept")]
