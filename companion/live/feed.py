@@ -21,7 +21,7 @@ _IMAGE_PERIOD_NS = 500_000_000  # chosen: two pairs a second show that cameras l
 _PARTNER_NS = 20_000_000  # chosen: both images of a pair are exposed within it
 
 BIT: dict[type, int] = {kind: 1 << place for place, kind in enumerate((Frame, *CHANNELS))} | {FramePair: 1}
-TAPED: int = sum(BIT[kind] for kind in CHANNELS)
+RECORDED: int = sum(BIT[kind] for kind in CHANNELS)
 """Kinds that the page's own recordings take: all but images, of which only two a second come."""
 ALWAYS: int = BIT[ParameterChange] | BIT[Notice]
 """Kinds that the live view follows although nobody looks: rare, and wanted by who comes later."""

@@ -21,10 +21,10 @@ from companion.live.access import Access
 from companion.live.broadcaster import Broadcaster
 from companion.live.config import LiveConfig
 from companion.live.door import Door
-from companion.live.feed import ALWAYS, TAPED
+from companion.live.feed import ALWAYS, RECORDED
+from companion.live.page_recording import PageRecording
 from companion.live.public import REGISTRATION, registration
 from companion.live.requests import HttpAnswer, Request, as_json, refusal
-from companion.live.tape import LiveTape
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.shipped import shipped
@@ -68,7 +68,7 @@ class LiveSession:
 
     def __init__(self, config: LiveConfig, subject: Subject, listening: socket.socket) -> None:
         self._subject, self._settings = subject, subject.settings
-        self._tape = LiveTape(config.folder)
+        self._page_recording = PageRecording(config.folder)
         self._watched = 0
         self._switches: queue.Queue[bool] = queue.Queue(_MOST_REQUESTS)
         self._failure = self._ended = ""
@@ -85,9 +85,9 @@ class LiveSession:
         elif isinstance(record, Notice):
             self._events.append(record)
         self._broadcaster.publish(record)
-        if self._tape.is_on and not isinstance(record, Frame | FramePair):
+        if self._page_recording.is_on and not isinstance(record, Frame | FramePair):
             try:
-                self._tape.write(record)
+                self._page_recording.write(record)
             except RecordingError as error:
                 self._failure = str(error)
                 self._request_topics()
@@ -112,7 +112,7 @@ class LiveSession:
         """End the connections, close the door, and finish the recording."""
         self._broadcaster.close()
         self._door.close()
-        self._tape.end()
+        self._page_recording.end()
 
     # ------------------------------------------------------------------------------- in the publishing thread
 
@@ -126,11 +126,11 @@ class LiveSession:
     def _switch(self, *, is_on: bool) -> None:
         self._failure = ""
         try:
-            if is_on and not self._tape.is_on:
+            if is_on and not self._page_recording.is_on:
                 about = About.of(self._subject.airframe, self._settings)
-                self._tape.begin(dataclasses.replace(about, part_number=_MIDWAY))
+                self._page_recording.begin(dataclasses.replace(about, part_number=_MIDWAY))
             elif not is_on:
-                self._tape.end()
+                self._page_recording.end()
         except (RecordingError, OSError) as error:
             self._failure = str(error)
         self._request_topics()
@@ -142,7 +142,7 @@ class LiveSession:
         self._request_topics()
 
     def _request_topics(self) -> None:
-        self._subject.request_topics(self._watched | ALWAYS | (TAPED if self._tape.is_on else 0))
+        self._subject.request_topics(self._watched | ALWAYS | (RECORDED if self._page_recording.is_on else 0))
 
     def _answer(self, request: Request) -> HttpAnswer:
         """Answer one request of the page."""
@@ -181,13 +181,13 @@ class LiveSession:
     def _recordings(self) -> dict[str, Any]:
         return {
             "always": self._subject.is_recording,
-            "on": self._tape.is_on,
+            "on": self._page_recording.is_on,
             "failure": self._failure,
-            "files": self._tape.listed(),
+            "files": self._page_recording.listed(),
         }
 
     def _recording(self, name: str) -> HttpAnswer:
-        file = self._tape.file(name)
+        file = self._page_recording.file(name)
         if file is None:
             return refusal(HTTPStatus.NOT_FOUND, "no such recording")
         named = {"Content-Disposition": f'attachment; filename="{name}"'} if name.isascii() and '"' not in name else {}

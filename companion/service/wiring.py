@@ -60,22 +60,22 @@ class Service(Supervisor):
         shown_in, self._shown = channel()
         matches_in, matches = channel()
         ends: list[socket.socket] = []
-        inertial_tape = vision_tape = None
+        inertial_recorder = vision_recorder = None
         if config.recording is not None:
-            inertial_tape, end = recorder_channel()
+            inertial_recorder, end = recorder_channel()
             ends.append(end)
             if config.record_images and config.cameras is not None:
-                vision_tape, end = recorder_channel()
+                vision_recorder, end = recorder_channel()
                 ends.append(end)
         shots = None
         if config.trigger is not None:
             shots, line = line_pair()
             self.add("trigger", _trigger_process, config, line)
         updates_in, updates = channel() if config.cameras is not None else (None, None)
-        inertial_eye, vision_eye = self._add_live(config, matches_in)
-        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_tape, inertial_eye)
+        inertial_feed, vision_feed = self._add_live(config, matches_in)
+        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_recorder, inertial_feed)
         if config.cameras is not None:
-            ends_of_vision = (updates, matches_in, vision_tape, vision_eye)
+            ends_of_vision = (updates, matches_in, vision_recorder, vision_feed)
             self.add("vision", _vision_process, config, _stored(config), *ends_of_vision)
         gate = () if config.standby else (None,)
         stored = _stored(config)
@@ -97,8 +97,8 @@ class Service(Supervisor):
         ends = [end for _, end in channels]
         arguments = (config, _stored(config), self._listening, ends, interest, say, MonotonicClock().now_ns())
         self.add("live", _live_process, *arguments, optional=True)
-        inertial_eye, vision_eye = (FeedEnd(end, interest) for end, _ in channels)
-        return inertial_eye, vision_eye
+        inertial_feed, vision_feed = (FeedEnd(end, interest) for end, _ in channels)
+        return inertial_feed, vision_feed
 
     def shown(self) -> list[Record]:
         """Records for the display from the inertial process since the last call."""
@@ -169,10 +169,10 @@ class _Recorders:
             recorder.close()
 
 
-def _recorder(tape: socket.socket | None, eye: FeedEnd | None) -> Recorder:
+def _recorder(recorder_end: socket.socket | None, feed_end: FeedEnd | None) -> Recorder:
     """The recorder's client and the live view's feed, as far as they are there."""
-    clients: list[Recorder] = [] if tape is None else [RecorderClient(tape)]
-    clients += [] if eye is None else [LiveFeed(eye)]
+    clients: list[Recorder] = [] if recorder_end is None else [RecorderClient(recorder_end)]
+    clients += [] if feed_end is None else [LiveFeed(feed_end)]
     return clients[0] if len(clients) == 1 else _Recorders(clients)
 
 
@@ -197,8 +197,8 @@ def _inertial_process(
     matches: Receiver,
     vision_ear: Sender | None,
     shown: Sender,
-    tape: socket.socket | None,
-    eye: FeedEnd | None,
+    recorder_end: socket.socket | None,
+    feed_end: FeedEnd | None,
     gate: StandbyGate | None,
     stop: StopFlag,
 ) -> None:
@@ -220,7 +220,7 @@ def _inertial_process(
         shots=_NoShots() if shots is None else TriggerLink(shots),
         inbox=matches.receive,
         show=shown.send,
-        recorder=_recorder(tape, eye),
+        recorder=_recorder(recorder_end, feed_end),
         fires_by_link=firing is not None,
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
         alive=manager.ticked,
@@ -304,12 +304,12 @@ def _vision_process(
     stored_at_start: dict[str, float],
     updates: Receiver,
     matches: Sender,
-    tape: socket.socket | None,
-    eye: FeedEnd | None,
+    recorder_end: socket.socket | None,
+    feed_end: FeedEnd | None,
     stop: StopFlag,
 ) -> None:
     assert config.cameras is not None
-    recorder = _recorder(tape, eye)
+    recorder = _recorder(recorder_end, feed_end)
     try:
         cameras = config.cameras()
     except SpanwiseError as error:

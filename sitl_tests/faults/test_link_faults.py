@@ -168,7 +168,7 @@ def test_a_peer_that_goes_away_disturbs_nobody(held: Held) -> None:
 def test_calling_before_anybody_listens_goes_on_when_they_come(held: Held) -> None:
     port = free_port(socket.SOCK_STREAM)
     link = held.link(f"udpout:127.0.0.1:{port}")
-    assert link.knocks
+    assert link.speaks_first
     for _ in range(3):
         link.write(b"knock")
         assert link.read() is None

@@ -22,7 +22,7 @@ from companion.cli.steps.live_view import read_live
 from companion.errors import ConfigError
 from companion.live.config import LiveConfig
 from companion.live.door import listen
-from companion.live.feed import ALWAYS, BIT, TAPED
+from companion.live.feed import ALWAYS, BIT, RECORDED
 from companion.live.session import LiveSession, Subject
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -219,7 +219,7 @@ def test_what_was_said_before_is_there_for_who_comes_later(view: View) -> None:
 def test_the_page_s_button_records_everything_and_the_file_can_be_fetched(view: View, tmp_path: Path) -> None:
     assert ask(view.port, "POST", "/record", {"on": True})[0] == 202
     view.session.tend()
-    assert view.masks[-1] == ALWAYS | TAPED, "the producers are told to send all but images"
+    assert view.masks[-1] == ALWAYS | RECORDED, "the producers are told to send all but images"
     ticks = [Tick(1_000_000_000 * second) for second in range(1, 6)]
     for tick in ticks:
         view.session.publish(tick)

@@ -12,8 +12,8 @@ import pytest
 
 from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About, McapWriter
-from companion.live.feed import ALWAYS, BIT, TAPED, FeedEnd, ImagePace, Interest, LiveFeed
-from companion.live.tape import LiveTape
+from companion.live.feed import ALWAYS, BIT, RECORDED, FeedEnd, ImagePace, Interest, LiveFeed
+from companion.live.page_recording import PageRecording
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Notice, ParameterChange, RawChunk, Record, Side, Tick, TriggerPlan
@@ -37,7 +37,7 @@ def feed() -> Iterator[tuple[LiveFeed, RecorderReceiver, Interest]]:
 def test_a_recording_of_the_page_reaches_the_disk_every_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     syncs: list[int] = []
     monkeypatch.setattr(McapWriter, "sync", lambda writer: syncs.append(writer.size_bytes))
-    tape = LiveTape(tmp_path)
+    tape = PageRecording(tmp_path)
     tape.begin(About.of(load_airframe("nadir-2m"), Settings()))
     for second in range(4):
         tape.write(Tick(2_000 * second * MS))
@@ -89,14 +89,14 @@ def test_every_kind_has_a_bit_of_its_own() -> None:
     assert len(set(bits)) == len(bits)
     assert all(bit.bit_count() == 1 for bit in bits)
     assert ALWAYS & BIT[ParameterChange]
-    assert not TAPED & BIT[Frame]
+    assert not RECORDED & BIT[Frame]
     assert max(bits) < 2**64
 
 
 @pytest.mark.slow
 def test_a_view_that_never_reads_costs_a_bounded_queue(feed: tuple[LiveFeed, RecorderReceiver, Interest]) -> None:
     live, _, interest = feed
-    interest.mask = ALWAYS | TAPED
+    interest.mask = ALWAYS | RECORDED
     for number in range(40_000):
         live.write(RawChunk(0, number, bytes(2_000)))
     assert live.dropped > 0, "80 MB do not wait"
@@ -111,7 +111,7 @@ def test_a_view_that_never_reads_changes_no_plan() -> None:
         service = SimulatedService(flight)
         end, theirs = recorder_channel()
         interest = Interest()
-        interest.mask = ALWAYS | TAPED
+        interest.mask = ALWAYS | RECORDED
         live = LiveFeed(FeedEnd(end, interest))
         write = service.tape.write
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from companion.adapters.cameras.oak import OakTiming, QueuePair
-from companion.adapters.cameras.oak_soft import SoftEar, fire_queue, fire_script
+from companion.adapters.cameras.oak_soft import SoftTriggerReceiver, fire_queue, fire_script
 from companion.adapters.triggers.oak import OakTrigger, SoftLine
 from companion.core.stereo.pairing import FramePairer
 from companion.errors import DeviceError
@@ -152,10 +152,10 @@ class HostPair(QueuePair):
         self._queues = [out.createOutputQueue(maxSize=8, blocking=False) for out in (device.left, device.right)]
         fire = device.fire.createInputQueue(maxSize=1, blocking=False)
         self._start()
-        self._ear = SoftEar(line, [fire], dai)
+        self._receiver = SoftTriggerReceiver(line, [fire], dai)
 
     def close(self) -> None:
-        self._ear.close()
+        self._receiver.close()
         super().close()
         self._pipelines["host"].wait()  # a node's thread must not outlive the interpreter
 
@@ -207,11 +207,11 @@ def test_without_a_camera_that_listens_the_shot_fails_and_says_so() -> None:
 
 def test_two_services_cannot_hold_one_line_and_a_closed_one_is_free_again() -> None:
     line = _line("twice")
-    first = SoftEar(line, [], dai)
+    first = SoftTriggerReceiver(line, [], dai)
     with pytest.raises(DeviceError, match=line.name):
-        SoftEar(line, [], dai)
+        SoftTriggerReceiver(line, [], dai)
     first.close()
-    SoftEar(line, [], dai).close()
+    SoftTriggerReceiver(line, [], dai).close()
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
@@ -224,7 +224,7 @@ def test_what_is_no_word_fires_nothing_and_a_lost_device_ends_the_listening(lost
         if len(heard) == 2:
             raise lost("device is gone")
 
-    ear, trigger = SoftEar(line, [SimpleNamespace(send=send)], dai), OakTrigger(line)
+    ear, trigger = SoftTriggerReceiver(line, [SimpleNamespace(send=send)], dai), OakTrigger(line)
     trigger._socket.sendto(b"too short", line.address)
     trigger._socket.sendto(b"9 bytes..", line.address)
     for plan_id in (1, 2, 3):

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver, recorder_channel
-from companion.live.feed import ALWAYS, BIT, TAPED, FeedEnd, Interest, LiveFeed
+from companion.live.feed import ALWAYS, BIT, RECORDED, FeedEnd, Interest, LiveFeed
 from companion.records import (
     Axis,
     ClockName,
@@ -81,8 +81,8 @@ def run() -> list[tuple[str, float, float, int]]:
         ("no live view", None, True),
         ("nobody looks", ALWAYS, True),
         ("a page is open", page, True),
-        ("everything is followed", ALWAYS | TAPED, True),
-        ("everything, and never read", ALWAYS | TAPED, False),
+        ("everything is followed", ALWAYS | RECORDED, True),
+        ("everything, and never read", ALWAYS | RECORDED, False),
     ]
     rounds = [[_measured(second, mask, is_read=is_read) for _, mask, is_read in states] for _ in range(_REPEATS)]
     return [(name, *map(min, zip(*(row[place] for row in rounds), strict=True))) for place, (name, _, _) in

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.cameras.oak_soft import SoftEar, fire_queue
+from companion.adapters.cameras.oak_soft import SoftTriggerReceiver, fire_queue
 from companion.adapters.triggers.oak import SoftLine
 from companion.errors import DeviceError, import_extra
 from companion.records import PLAN_UNKNOWN, ClockName, Frame, Side
@@ -104,13 +104,13 @@ class OakPair(QueuePair):
         super().__init__(timing)
         self._soft = soft
         self._fire: list[Any] = []
-        self._ear: SoftEar | None = None
+        self._receiver: SoftTriggerReceiver | None = None
         try:
             for sensor in (left, right):
                 self._queues.append(self._open(sensor, size_px))
             self._start()
             if soft is not None:
-                self._ear = SoftEar(soft, self._fire, self._dai)
+                self._receiver = SoftTriggerReceiver(soft, self._fire, self._dai)
         except DeviceError:
             self.close()
             raise
@@ -120,8 +120,8 @@ class OakPair(QueuePair):
 
     def close(self) -> None:
         """Stop firing and the pipelines, release the devices."""
-        if self._ear is not None:
-            self._ear.close()
+        if self._receiver is not None:
+            self._receiver.close()
         super().close()
 
     def _open(self, sensor: OakSensor, size_px: tuple[int, int]) -> Any:

@@ -46,8 +46,8 @@ def fire_queue(pipeline: Any, line: SoftLine, dai: Any) -> Any:
     return node.inputs["fire"].createInputQueue(maxSize=1, blocking=False)
 
 
-class SoftEar:
-    """Hears the trigger process and fires every device's queue, left first.
+class SoftTriggerReceiver:
+    """Receives the trigger process's messages and fires every device's queue, left first.
 
     ``queues`` are the input queues of the devices, ``dai`` is the DepthAI module.
 

@@ -23,14 +23,16 @@ CHUNK_BYTES = 65536  # most bytes of a read: 0.7 s of a 921,600 baud line (choic
 class Link:
     """One connection to the vehicle, with a number that stands in its chunks.
 
-    ``knocks`` is whether the other side learns of us only when we speak first. ``unsent`` counts writes given up
+    ``speaks_first`` is whether the other side learns of us only so. ``unsent`` counts writes given up
     because the connection was down or could not take them at once.
     """
 
-    def __init__(self, number: int, spelling: str, transport: Transport, clock: Clock, *, knocks: bool = False) -> None:
+    def __init__(
+        self, number: int, spelling: str, transport: Transport, clock: Clock, *, speaks_first: bool = False
+    ) -> None:
         self.number = number
         self.spelling = spelling
-        self.knocks = knocks
+        self.speaks_first = speaks_first
         self.unsent = 0
         self._transport = transport
         self._clock = clock
@@ -78,7 +80,7 @@ def open_link(
     transport = _open_transport(address, may_be_down=may_be_down)
     if signing is not None:
         transport = SignedTransport(transport, signing, number)
-    return Link(number, str(address), transport, clock, knocks=address.kind is LinkKind.UDP_CALL)
+    return Link(number, str(address), transport, clock, speaks_first=address.kind is LinkKind.UDP_CALL)
 
 
 def _open_transport(address: LinkAddress, *, may_be_down: bool) -> Transport:

@@ -284,8 +284,8 @@ class MavlinkAutopilot:
             while self._held:
                 self._sender.tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
         if self._each_second.take(now_host_ns, "heartbeat"):
-            knocking = [link.number for link in self._links if link.knocks]
-            for number in knocking if system is None else [None]:
+            unheard = [link.number for link in self._links if link.speaks_first]
+            for number in unheard if system is None else [None]:
                 self._sender.send(encode.heartbeat(self.health), number)
         if system is None:
             return

@@ -15,7 +15,7 @@ _SUFFIX = ".mcap"
 _MOST_LISTED = 50  # chosen: newest first: a list that is read
 
 
-class LiveTape:
+class PageRecording:
     """Writes what the live view is given while it is switched on.
 
     Such a recording begins in flight: its estimation began before it, as that of a further part does.
