@@ -41,11 +41,22 @@ class AmbientMode:
 
 
 def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> list[AmbientMode]:
-    """Modes of evenly sampled accelerations (n, channels) in a band, by frequency.
+    """Modes of evenly sampled accelerations.
 
-    The channels are of one kind of motion: all symmetric, or all antisymmetric. The whole record and at least half of
-    its blocks show a mode. A pole of a block counts for one mode alone: where the whole record splits what each block
-    shows as one, that one is the mean of the blocks.
+    Parameters
+    ----------
+    samples : (n, channels) float64
+        Channels of one kind of motion: all symmetric, or all antisymmetric.
+    rate_hz : float
+        Of the samples.
+    band_hz : tuple
+        Where modes are looked for.
+
+    Returns
+    -------
+    list of AmbientMode
+        By frequency; those that the whole record and at least half of its blocks show. A pole of a block counts for one
+        mode alone: where the whole record splits what each block shows as one, that one is the mean of the blocks.
     """
     record_poles = _poles(samples, rate_hz, band_hz)
     blocks = [_poles(block, rate_hz, band_hz) for block in np.array_split(samples, _BLOCKS)]

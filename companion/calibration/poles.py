@@ -61,7 +61,17 @@ def stable_poles(
 
 
 def lscf(frequency_hz: Floats, response: Complexes, order: int) -> Complexes:
-    """All poles (order,), rad/s, of one model order, the degree of the denominator; else as :func:`stable_poles`."""
+    """All poles (rad/s) of one model order.
+
+    Parameters
+    ----------
+    frequency_hz : (k,) float64
+        Lines.
+    response : (outputs, k) complex128
+        As in :func:`stable_poles`.
+    order : int
+        Degree of the denominator.
+    """
     # the band is mapped onto most of the half circle, where powers of z are nearly orthogonal
     low, width = float(frequency_hz[0]), float(frequency_hz[-1] - frequency_hz[0])
     step_s = 1.0 / (2.0 * (low + 1.15 * width))

@@ -87,7 +87,21 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Responses of a whole record to its force: one transform, no window, for sweeps that start and end at rest.
 
-    ``force`` (n,) in N, ``answers`` (n, m) in m/s^2. The lines within ``band_hz`` are kept, the points counted from 0.
+    Parameters
+    ----------
+    force : (n,) float64
+        Newton.
+    answers : (n, m) float64
+        Metres per second squared.
+    rate_hz : float
+        Of the samples.
+    band_hz : tuple
+        Which lines are kept.
+
+    Returns
+    -------
+    FrequencyResponse
+        Without a name; its points are counted from 0.
     """
     frequency: Floats = np.asarray(np.fft.rfftfreq(len(force), 1.0 / rate_hz), dtype=np.float64)
     inside = (frequency > band_hz[0]) & (frequency < band_hz[1])

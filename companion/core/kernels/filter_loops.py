@@ -20,9 +20,29 @@ def filter_epochs(
     last: int,
     steps: int,
 ) -> bool:
-    """Filter the epochs ``first:last`` in place; ``first`` is step ``steps`` of the history.
+    """Filter the epochs ``first:last`` in place.
 
-    False where the innovation covariance (9, 9) is not positive definite or not finite: the filter has run away.
+    Parameters
+    ----------
+    const : FilterConstants
+        Constants of the airframe.
+    model : DiscreteModel
+        Model that the filter runs on.
+    epochs : Epochs
+        Measurements.
+    filter_state : FilterState
+        Updated in place.
+    history : History
+        Updated in place; epoch ``first`` is step ``steps``.
+    first, last : int
+        Range of epochs.
+    steps : int
+        Steps done before.
+
+    Returns
+    -------
+    bool
+        False where the innovation covariance is not positive definite or not finite: the filter has run away.
     """
     wing, measured = (_pack_constants(const), _pack_model(model)), _pack_epochs(epochs)
     past = pack_history(history)

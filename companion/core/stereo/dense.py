@@ -93,7 +93,22 @@ def textured(image: Bytes) -> Bools:
 
 
 def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats, Floats]:
-    """Left and right raw pixels (n, 2) and sigma (n,), px, of a dense disparity, ``step_px`` apart in the raw image."""
+    """Thin a dense disparity to raw pixel pairs.
+
+    Parameters
+    ----------
+    dense : Disparity
+        Disparity of the rectified pair.
+    rig : Rig
+        Lenses.
+    step_px : int
+        Spacing of the grid that is kept, in the raw image.
+
+    Returns
+    -------
+    tuple
+        Left and right raw pixels (n, 2) and sigma (n,), px.
+    """
     left, right = _rectified_pairs(dense, step_px)
     left_px = dense.frame.to_raw(rig.left, dense.frame.left, left)
     right_px = dense.frame.to_raw(rig.right, dense.frame.right, right)
@@ -105,8 +120,18 @@ def metric_pairs(
 ) -> Matches:
     """Refine a thinned dense disparity in the raw images: matches fit for ranging between the features.
 
-    The grid that is kept has a spacing of ``step_px`` in the raw image. Near the left raw pixels ``excluded_px`` (m,
-    2), those of the features, no match is wanted.
+    Parameters
+    ----------
+    dense : Disparity
+        Disparity of the rectified pair.
+    left, right : (rows, columns) uint8
+        The raw pair.
+    rig : Rig
+        Lenses.
+    step_px : int
+        Spacing of the grid that is kept, in the raw image.
+    excluded_px : (m, 2) float64, optional
+        Left raw pixels near which no match is wanted: those of the features.
     """
     left_px, right_px, _ = raw_pairs(dense, rig, step_px)
     frame, right_rectified = dense.frame, _rectified_pairs(dense, step_px)[1]

@@ -187,6 +187,15 @@ def with_flow(answer: Posterior, flow: FlowInnovation, conditions: FlowCondition
 
     The flow's rows are linear about the posterior, with Student's t as in :func:`maximum_a_posteriori`. Besides the
     constant rate error, this pair has errors of its own (:data:`PAIR_TURN`, stamps), which are marginalised.
+
+    Parameters
+    ----------
+    answer : Posterior
+        Posterior given the pair's matches.
+    flow : FlowInnovation
+        Flow observed less predicted by the mean of that posterior.
+    conditions : FlowConditions
+        Time between the exposures, and what is believed of the pair's own errors.
     """
     if not flow.is_enough:
         return None

@@ -68,8 +68,16 @@ def exposures(
 ) -> tuple[CameraExposure, CameraExposure]:
     """Both exposures, each at its own instant, brought to the body axes midway between them.
 
-    ``left`` and ``right`` are the wing at the left and at the right mid-exposure. The aircraft's velocity (3,), m/s, in
-    body axes, moves the cameras between the two exposures and from row to row.
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    tips : TipMotion
+        The airframe's slope and twist factors.
+    left, right : Deflection
+        The wing at the left and at the right mid-exposure.
+    velocity_mps : (3,) float64, optional
+        The aircraft's velocity in body axes, which moves the cameras between the two exposures and from row to row.
     """
     middle_ns = (left.t_host_ns + right.t_host_ns) // 2
     drift = np.zeros(3) if velocity_mps is None else velocity_mps

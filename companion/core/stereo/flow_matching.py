@@ -35,7 +35,14 @@ class EarlierView:
 def flow_since(earlier: EarlierView, pair: FramePair, matches: MatchSet) -> Flow | None:
     """Find the features of a matched pair in the earlier left image; None if that is too old, or of another size.
 
-    ``matches`` are the pair's features (n), without dense filling.
+    Parameters
+    ----------
+    earlier : EarlierView
+        Left image of the pair before, by the same camera.
+    pair : FramePair
+        The pair.
+    matches : MatchSet
+        Its features, without dense filling. Their left places are searched.
     """
     passed_ns = pair.left.mid_exposure_ns - earlier.mid_exposure_ns
     if not 0 < passed_ns <= LONGEST_NS or earlier.image.shape != pair.left.image.shape or not len(matches.sigma_px):

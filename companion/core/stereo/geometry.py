@@ -70,7 +70,18 @@ class Lens:
         return float(self.matrix[0, 0])
 
     def project(self, points_m: Floats) -> Floats:
-        """Distorted pixels (..., 2), inside the image or not, of points (..., 3), camera axes, m; NaN behind it."""
+        """Pixels of points given in camera axes; NaN for points that are not in front of the camera.
+
+        Parameters
+        ----------
+        points_m : (..., 3) float64
+            Metres, camera axes.
+
+        Returns
+        -------
+        (..., 2) float64
+            Distorted pixels, inside the image or not.
+        """
         points = np.asarray(points_m, dtype=np.float64)
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         bent = self.distort(points[..., :2] / depth)
@@ -78,7 +89,17 @@ class Lens:
         return pixels
 
     def unproject(self, pixels: Floats) -> Floats:
-        """Rays (n, 3) in camera axes, with z = 1, of distorted pixels (n, 2); the inverse of :meth:`project`."""
+        """Rays in camera axes, with z = 1, of distorted pixels; the inverse of :meth:`project`.
+
+        Parameters
+        ----------
+        pixels : (n, 2) float64
+            Column, row.
+
+        Returns
+        -------
+        (n, 3) float64
+        """
         flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
         rays = np.ones((flat.shape[0], 3))
         if flat.size:

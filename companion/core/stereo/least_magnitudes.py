@@ -8,10 +8,18 @@ from companion.records import Floats
 
 
 def least_magnitudes(design: Floats, observed: Floats, least: float, steps: int) -> Floats:
-    """Coefficients (k, d) whose residuals have the least sum of magnitudes, by steps of reweighted least squares.
+    """Coefficients (k, d) whose residuals have the least sum of magnitudes, by reweighted least squares.
 
-    ``design`` is (n, k); the residual of each row of ``observed`` (n, d) is a vector, whose length counts. Below
-    ``least`` all residuals have equal weight.
+    Parameters
+    ----------
+    design : (n, k) float64
+        Contribution of each coefficient to each row.
+    observed : (n, d) float64
+        Vectors to fit; the magnitude of a residual is its length.
+    least : float
+        Residual below which all rows have equal weight, in the unit of ``observed``.
+    steps : int
+        Number of reweightings.
     """
     weight: Floats = np.ones(len(observed))
     fitted: Floats = np.zeros((design.shape[1], observed.shape[1]))

@@ -112,8 +112,25 @@ def correct(
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
 
-    It is always finite; ``range.reject`` is the reason not to trust it. ``left`` and ``right`` are the wing at the left
-    and at the right mid-exposure.
+    Parameters
+    ----------
+    matches : MatchSet
+        Raw pixels.
+    left, right : Deflection
+        The wing at the left and at the right mid-exposure.
+    rig : Rig
+        Cameras of the airframe.
+    airframe : Airframe
+        Orientation, slope and twist factors, calibration sigmas.
+    settings : Settings
+        Product, limits, trust.
+    conditions : PairConditions
+        Stamps, flight, relative rotation by the matches, attitude.
+
+    Returns
+    -------
+    RangeAnswer
+        Always finite. ``range.reject`` is the reason not to trust it.
     """
     scene = _Scene.exposed(matches.features(), left, right, rig, airframe, conditions)
     depths, toe = scene.depths(scene.matches), scene.toe()

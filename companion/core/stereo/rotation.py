@@ -14,7 +14,17 @@ _LEAST_ANGLE_RAD = 1e-150  # sin(t)/t is 1 to the last digit below 1e-8, and its
 
 
 def skew(vector: Floats) -> Floats:
-    """Antisymmetric matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)`` (seed paper, eq. 5)."""
+    """Antisymmetric matrix with ``skew(a) @ b == cross(a, b)`` (seed paper, eq. 5).
+
+    Parameters
+    ----------
+    vector : (..., 3) float64
+        Any unit.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
     v = np.asarray(vector, dtype=np.float64)
     matrix = np.zeros((*v.shape[:-1], 3, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -24,10 +34,20 @@ def skew(vector: Floats) -> Floats:
 
 
 def exp_rotation(vector_rad: Floats) -> Floats:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad, by Rodrigues' formula (seed paper, eqs. 3 to 6).
+    """Rotation matrix of a rotation vector by Rodrigues' formula (seed paper, eqs. 3 to 6).
 
-    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``, where ``1 - cos t = 2
-    sin^2(t/2)`` keeps its precision at small angles. (Eq. 7 as printed is not a rotation and is not used.)
+    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``, where
+    ``1 - cos t = 2 sin^2(t/2)`` keeps its precision at small angles. (Eq. 7 as printed is not a rotation and is not
+    used.)
+
+    Parameters
+    ----------
+    vector_rad : (..., 3) float64
+        Axis times angle.
+
+    Returns
+    -------
+    (..., 3, 3) float64
     """
     v = np.asarray(vector_rad, dtype=np.float64)
     # element by element: a single vector as floats takes a fifth of the time that arrays of one element do
@@ -44,10 +64,20 @@ def exp_rotation(vector_rad: Floats) -> Floats:
 
 
 def log_rotation(rotation: Floats) -> Floats:
-    """Rotation vectors (..., 3), rad, of proper rotations (..., 3, 3): the inverse of :func:`exp_rotation`.
+    """Rotation vector of a rotation matrix, angle in [0, pi]; the inverse of :func:`exp_rotation`.
 
-    Angles lie in [0, pi]. Keeps full precision at 0 and near pi. At exactly pi the axis is known but its sign is not;
-    one of the two is returned.
+    Keeps full precision at 0 and near pi. At exactly pi the axis is known but its sign is not; one of the two is
+    returned.
+
+    Parameters
+    ----------
+    rotation : (..., 3, 3) float64
+        A proper rotation; it is not made orthogonal first.
+
+    Returns
+    -------
+    (..., 3) float64
+        Radians.
     """
     quaternion = _quaternion(np.asarray(rotation, dtype=np.float64))
     axis, cosine = quaternion[..., :3], quaternion[..., 3:]
@@ -80,7 +110,17 @@ def _quaternion(rotation: Floats) -> Floats:
 
 
 def relative_rotation(right_from_body: Floats, left_from_body: Floats) -> Floats:
-    """Rotation (..., 3, 3) from left to right camera coordinates, ``R = R_r R_l^T`` (seed paper, eq. 8)."""
+    """Rotation that takes left camera coordinates to right camera coordinates, ``R = R_r R_l^T`` (seed paper, eq. 8).
+
+    Parameters
+    ----------
+    right_from_body, left_from_body : (..., 3, 3) float64
+        Attitudes of the two cameras.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
     relative: Floats = np.asarray(right_from_body) @ np.swapaxes(np.asarray(left_from_body), -1, -2)
     return relative
 

@@ -100,9 +100,16 @@ def bands(search: Search, frame: Rectification, points_px: Floats, of: Side) -> 
 
 
 def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Band) -> CoarseMatches:
-    """Best normalised correlation of the patch around each point (n, 2), px, within its band of the other image.
+    """Best normalised correlation of the patch around each point within its band.
 
-    Both images are rectified and of equal scale.
+    Parameters
+    ----------
+    template_image, other_image : (rows, columns) uint8
+        Rectified images of equal scale.
+    points_px : (n, 2) float64
+        Patch centres.
+    band : Band
+        Bands in pixels of ``other_image``.
     """
     n = len(points_px)
     centre = np.rint(points_px).astype(int)

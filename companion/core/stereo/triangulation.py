@@ -91,11 +91,20 @@ def range_axis_of_rig(rig: Rig, axis: Floats) -> RangeAxis:
 
 
 def triangulate(rays: Rays, range_axis: RangeAxis, sigma_rad: Floats) -> Depths:
-    """Inverse depth of each match along a range axis; ``sigma_rad`` (n,) is that of each disparity, as a slope.
+    """Inverse depth of each match along a range axis.
 
     In the epipolar frame of a match (x along its baseline B, z where the cameras look) the rays have slopes x_l and
     x_r. The point of closest approach lies at ``B / (x_l - x_r)`` along z. The difference of the slopes y is the
     vertical parallax. All results are quotients of terms linear in ``x_l - x_r``, and stay finite at zero.
+
+    Parameters
+    ----------
+    rays : Rays
+        Matched rays.
+    range_axis : RangeAxis
+        Axis and origin of the depth.
+    sigma_rad : (n,) float64
+        One-sigma of each disparity, as a slope.
     """
     apart = rays.right_m - rays.left_m
     baseline = np.sqrt(np.einsum("ij,ij->i", apart, apart))[:, np.newaxis]

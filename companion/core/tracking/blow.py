@@ -34,10 +34,16 @@ class BlowWatch:
         self._wing_changed = False
 
     def update(self, nis: float, rms_m: Floats, recent_rms_m: Floats, passed_s: float) -> bool:
-        """Take a run of the filter of ``passed_s``; give whether a blow has faded with it.
+        """Take a run of the filter; give whether a blow has faded with it.
 
-        ``nis`` is the mean normalised innovation squared of a row over the last second. The vibration of both families,
-        (2,), is the median over blocks of the last 5 s, ``rms_m``, and has a memory of 0.3 s in ``recent_rms_m``.
+        Parameters
+        ----------
+        nis : float
+            Mean normalised innovation squared of a row over the last second.
+        rms_m, recent_rms_m : (2,) float64
+            Vibration of both families: the median over blocks of the last 5 s, and with a memory of 0.3 s.
+        passed_s : float
+            Length of the run.
         """
         sudden = nis > max(_LEAST_NIS, _SUDDEN * self._usual_nis)
         self._wing_changed &= sudden

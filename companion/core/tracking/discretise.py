@@ -8,10 +8,23 @@ from companion.records import Floats
 
 
 def van_loan(system: Floats, intensity: Floats, step_s: float) -> tuple[Floats, Floats]:
-    """Transition and process noise, (n, n) each, over one step of ``step_s`` (Van Loan, IEEE TAC 23, 1978).
+    """Transition and process noise over one step (Van Loan, IEEE TAC 23, 1978).
 
-    For ``x' = F x + w`` with ``E[w w^T] = intensity * delta`` (two-sided): ``A = exp(F h)`` and ``Q = integral_0^h
-    exp(F s) intensity exp(F s)^T ds``.
+    For ``x' = F x + w`` with ``E[w w^T] = intensity * delta``: ``A = exp(F h)`` and
+    ``Q = integral_0^h exp(F s) intensity exp(F s)^T ds``.
+
+    Parameters
+    ----------
+    system : (n, n) float64
+        ``F``.
+    intensity : (n, n) float64
+        Two-sided density of ``w``.
+    step_s : float
+        ``h``.
+
+    Returns
+    -------
+    transition, noise : (n, n) float64
     """
     n = len(system)
     halvings = max(0, int(np.ceil(np.log2(max(np.abs(np.diag(system)).max() * step_s, 1e-9)))) + 1)
@@ -47,7 +60,18 @@ def _exponential(matrix: Floats) -> Floats:
 
 
 def stationary_covariance(transition: Floats, noise: Floats) -> Floats:
-    """Solution (n, n) of ``P = A P A^T + Q`` by doubling, for transition ``A`` and noise ``Q``; ``A`` must be stable.
+    """Solution of ``P = A P A^T + Q`` by doubling; ``A`` must be stable.
+
+    Parameters
+    ----------
+    transition : (n, n) float64
+        ``A``.
+    noise : (n, n) float64
+        ``Q``.
+
+    Returns
+    -------
+    (n, n) float64
 
     Raises
     ------

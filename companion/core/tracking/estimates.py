@@ -40,9 +40,18 @@ class TipEstimate:
 
 
 def tip_output_matrix(layout: StateLayout, slope: Floats) -> Floats:
-    """Rows (6, n) that give ``[q_sym, q_anti, q_sym', q_anti', slope_left, slope_right]`` from a state.
+    """Rows that give ``[q_sym, q_anti, q_sym', q_anti', slope_left, slope_right]`` from a state.
 
-    ``slope`` (2, n) is from :func:`companion.core.tracking.model.slope_rows`.
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    slope : (2, n) float64
+        From :func:`companion.core.tracking.model.slope_rows`.
+
+    Returns
+    -------
+    (6, n) float64
     """
     rows = np.zeros((6, layout.size))
     for at, family in enumerate(layout.families):
@@ -52,9 +61,19 @@ def tip_output_matrix(layout: StateLayout, slope: Floats) -> Floats:
 
 
 def slope_factor_jacobian(layout: StateLayout, state: Floats) -> Floats:
-    """Derivative (2, c) of both tips' slope by the bias parameters through the slope factors, rad per unit of each.
+    """Derivative of the left and right tip slope with respect to the bias parameters through the slope factors.
 
-    The product of slope factor and deflection is linearised about ``state`` (n,).
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    state : (n,) float64
+        About which the product of slope factor and deflection is linearised.
+
+    Returns
+    -------
+    (2, c) float64
+        rad per unit of each parameter.
     """
     rows = np.zeros((2, len(layout.bias_parameters)))
     for column, q, _, sign in layout.slope_factors:
@@ -71,7 +90,22 @@ def tip_estimate(
 ) -> TipEstimate:
     """Modal coordinates, rates and slopes of a state, with the covariance of state and bias parameters.
 
-    ``rows`` (6, n) are those of :func:`tip_output_matrix`; the bias parameters (c,) have the covariance (c, c).
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    rows : (6, n) float64
+        From :func:`tip_output_matrix`.
+    smoothed : SmoothedState
+        State at the instant, given the bias parameters.
+    bias_parameters : (c,) float64
+        Estimates.
+    bias_parameter_covariance : (c, c) float64
+        Their covariance.
+
+    Returns
+    -------
+    TipEstimate
     """
     factor = slope_factor_jacobian(layout, smoothed.state)
     values = rows @ smoothed.state
@@ -104,9 +138,28 @@ def mode_estimate(
 ) -> ModeEstimate:
     """Describe one mode as ``q = static + amplitude cos(phase)``, ``q' = -omega amplitude sin(phase)``.
 
-    The swing is about the static bend and, as far as that is uncertain, the bend by a slow load. The instantaneous
-    frequency is the phase's rate by the modal equation, gust load included. In ``covariance`` (n, n) of ``state`` (n,)
-    the deflection counts from the static bend. ``rms_m`` is the mode's activity.
+    The swing is about the static bend and, as far as that is uncertain, the bend by a slow load.
+
+    The instantaneous frequency is the phase's rate by the modal equation, gust load included.
+
+    Parameters
+    ----------
+    family : ModeFamily
+        Which modes.
+    parameters : ModeParameters
+        Modal and gust parameters of each family.
+    state : (n,) float64
+        State vector.
+    covariance : (n, n) float64
+        With the deflection measured from the static bend.
+    static_m : float
+        Static bend, m.
+    rms_m : float
+        Activity of the mode, m.
+
+    Returns
+    -------
+    ModeEstimate
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
@@ -164,8 +217,17 @@ def oscillation(
 def fast_slope_time_s(kalman: SeparatedBiasFilter, slope: Floats, step: int) -> float:
     """Correlation time of the error of the mean slope that is not the biases', from the last tenth of a second, s.
 
-    The filter's error at one step, carried on by its closed loop to the end of ``step``, against its covariance; 0
-    where too few steps are known. ``slope`` (2, n) is from :func:`companion.core.tracking.model.slope_rows`.
+    The filter's error at one step, carried on by its closed loop, against its covariance; 0 where too few steps are
+    known.
+
+    Parameters
+    ----------
+    kalman : SeparatedBiasFilter
+        Filter with its history.
+    slope : (2, n) float64
+        From :func:`companion.core.tracking.model.slope_rows`.
+    step : int
+        At its end.
     """
     lag = round(_LAG_S / kalman.model.step_s)
     first = step - lag

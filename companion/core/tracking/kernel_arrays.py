@@ -77,10 +77,19 @@ def _rank_shares(layout: StateLayout, model: DiscreteWingModel) -> tuple[Floats,
 
 
 def given_sum(covariance: Floats) -> tuple[Floats, Floats]:
-    """Regression of jointly Gaussian terms with this covariance (r, r) on their sum.
+    """Regression of jointly Gaussian terms on their sum.
 
-    The part (r,) of a deviation of the sum that each term is expected to have, which add up to one, and the covariance
-    (r, r) that the sum leaves open.
+    Parameters
+    ----------
+    covariance : (r, r) float64
+        Of the terms.
+
+    Returns
+    -------
+    fraction : (r,) float64
+        Part of a deviation of the sum that each term is expected to have; they add up to one.
+    covariance : (r, r) float64
+        What the sum leaves open.
     """
     with_sum = covariance.sum(axis=1)
     total = float(with_sum.sum())

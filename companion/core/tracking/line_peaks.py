@@ -148,9 +148,18 @@ _envelope = kernel("lines_envelope", ARRAY, ARRAY, REAL, ARRAY, INTEGER, ARRAY)
 
 
 def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: int) -> tuple[float, float]:
-    """Mean and variance of the squared envelope of a line in a channel's swing (n,), at instants (n,).
+    """Mean and variance of the squared envelope of a line, by windows of ``length`` that overlap by half.
 
-    By windows of ``length`` samples that overlap by half.
+    Parameters
+    ----------
+    samples : (n,) float64
+        Swing of a channel.
+    t_s : (n,) float64
+        Their instants.
+    frequency_hz : float
+        Of the line.
+    length : int
+        Number of samples of a window.
     """
     out = np.empty(2)
     _envelope(samples, t_s, frequency_hz, hann(length), length // 2, out)

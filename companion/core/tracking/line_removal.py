@@ -84,8 +84,20 @@ class LineStates(NamedTuple):
 def line_states(leader_hz: Floats, multiples: Sequence[Sequence[int]], weight: Floats, rate_hz: float) -> LineStates:
     """States of lines that are yet to be followed in a stream of samples.
 
-    ``leader_hz`` (s,) are the shafts' strongest lines, ``multiples`` each shaft's lines in twelfths of its leader's
-    frequency, ``weight`` (6,) the inverse squares of the channels' noise.
+    Parameters
+    ----------
+    leader_hz : (s,) float64
+        Each shaft's strongest line.
+    multiples : s sequences of int
+        Each shaft's lines in twelfths of its leader's frequency.
+    weight : (6,) float64
+        Inverse square of each channel's noise.
+    rate_hz : float
+        Of the samples.
+
+    Returns
+    -------
+    LineStates
     """
     shaft = np.repeat(np.arange(len(multiples)), [len(lines) for lines in multiples]).astype(np.int64)
     multiple = np.array([multiple for lines in multiples for multiple in lines], dtype=np.int64)
@@ -149,9 +161,24 @@ _pack_lines, _remove = packed(LineStates), kernel("lines_remove", ARRAY, ARRAY, 
 
 
 def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states: LineStates) -> Floats:
-    """Samples (s - first, 6) without their lines, from ``first`` on; the states, of the one before it, follow in place.
+    """Samples without their lines; the states follow, in place.
 
-    ``t_ns`` (s,) are stamps in order, ``values`` (s, 6) all samples, ``period_s`` the usual time between them.
+    Parameters
+    ----------
+    t_ns : (s,) int64
+        Stamps in order.
+    values : (s, 6) float64
+        Samples.
+    first : int
+        First sample to clean; the states belong to the one before it.
+    period_s : float
+        Usual time between samples.
+    states : LineStates
+        Of this station.
+
+    Returns
+    -------
+    (s - first, 6) float64
     """
     out = np.empty((len(t_ns) - first, values.shape[1]))
     _remove(t_ns, values, first, period_s, _pack_lines(states), out)

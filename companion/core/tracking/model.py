@@ -105,7 +105,22 @@ def build_model(
 ) -> DiscreteWingModel:
     """Discretise the wing with these modal and gust parameters.
 
-    ``lever_y_m`` are body y of left and right tip (2,) relative to the root.
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    noise : SensorNoise
+        Noise of the averaged rows.
+    parameters : (symmetric, antisymmetric)
+        Modal and gust parameters of each family.
+    lever_y_m : (float, float)
+        Body y of left and right tip relative to the root.
+    step_s : float
+        h.
+
+    Returns
+    -------
+    DiscreteWingModel
 
     Raises
     ------
@@ -162,7 +177,21 @@ def _motion_covariance(layout: StateLayout, transition: Floats, noise: Floats) -
 
 
 def stationary(layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel) -> Floats:
-    """Prior covariance (n, n) of the state: a wing that has been in this gust for ever, biases at their prior."""
+    """Prior covariance of the state: a wing that has been in this gust for ever, biases at their prior.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    noise : SensorNoise
+        Noise of the averaged rows.
+    model : DiscreteWingModel
+        Model that the filter runs on.
+
+    Returns
+    -------
+    (n, n) float64
+    """
     covariance = model.motion_covariance.copy()
     covariance[layout.roll_rate, layout.roll_rate], covariance[layout.roll_accel, layout.roll_accel] = (
         _ROLL_SIGMA_RADPS**2,
@@ -175,7 +204,23 @@ def stationary(layout: StateLayout, noise: SensorNoise, model: DiscreteWingModel
 def propagation(
     layout: StateLayout, noise: SensorNoise, parameters: WingParameters, step_s: float
 ) -> tuple[Floats, Floats]:
-    """Transition and process noise, (n, n) each, of the whole state over any time."""
+    """Transition and process noise of the whole state over any time.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    noise : SensorNoise
+        Noise of the averaged rows.
+    parameters : (symmetric, antisymmetric)
+        Modal and gust parameters of each family.
+    step_s : float
+        Time h of one step, s.
+
+    Returns
+    -------
+    transition, noise : (n, n) float64
+    """
     n = layout.size
     a, q = np.zeros((n, n)), np.zeros((n, n))
     modal = slice(0, layout.antisymmetric.span.stop)
@@ -196,7 +241,21 @@ def _rigid_propagation(step_s: float) -> tuple[Floats, Floats]:
 
 
 def modal_propagation(layout: StateLayout, parameters: WingParameters, step_s: float) -> tuple[Floats, Floats]:
-    """Transition and process noise, (m, m) each, of the modes and their loads, the leading block of the state."""
+    """Transition and process noise of the modes and their loads, the leading block of the state.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    parameters : (symmetric, antisymmetric)
+        Modal and gust parameters of each family.
+    step_s : float
+        Time h of one step, s.
+
+    Returns
+    -------
+    transition, noise : (m, m) float64
+    """
     m = layout.antisymmetric.span.stop
     a, q = np.zeros((m, m)), np.zeros((m, m))
     for family, values in zip(layout.families, parameters, strict=True):

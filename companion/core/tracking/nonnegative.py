@@ -11,10 +11,20 @@ _ROUNDING = 10.0 * float(np.finfo(np.float64).eps)  # chosen, of the largest gra
 
 
 def nonnegative_least_squares(equations: Floats, right_side: Floats) -> Floats:
-    """Vector ``x >= 0`` (n,) with the least ``|equations @ x - right_side|``.
+    """Vector ``x >= 0`` with the least ``|equations @ x - right_side|``.
 
-    For a few unknowns: each step solves a small dense problem. ``equations`` is (m, n), its columns may be dependent;
-    ``right_side`` is (m,).
+    For a few unknowns: each step solves a small dense problem.
+
+    Parameters
+    ----------
+    equations : (m, n) float64
+        Columns may be dependent.
+    right_side : (m,) float64
+        What the equations should give.
+
+    Returns
+    -------
+    (n,) float64
     """
     count = equations.shape[1]
     solution, free = np.zeros(count), np.zeros(count, dtype=bool)

@@ -27,9 +27,18 @@ BEFORE = _PADDING + EARLIER + AVERAGED - 1
 
 
 def without_gate_excess(epochs: Epochs, gate_excess: Floats) -> Epochs:
-    """Epochs less the part of their rows that the filter gated, ``gate_excess`` (n, 9).
+    """Epochs less the part of their rows that the filter gated; the load factors of such epochs are interpolated.
 
-    The load factors of such epochs are interpolated. See :class:`companion.core.kernels.arrays.History`.
+    Parameters
+    ----------
+    epochs : Epochs
+        n of them.
+    gate_excess : (n, 9) float64
+        See :class:`companion.core.kernels.arrays.History`.
+
+    Returns
+    -------
+    Epochs
     """
     gated, load_g = gate_excess[:, Z_LEFT:M_LEFT].any(axis=1), epochs.load_g
     if gated.any() and not gated.all():

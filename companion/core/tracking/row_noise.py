@@ -111,9 +111,14 @@ class RowNoise:
         self.variance[:Y_LEFT], self.root_z_variance = tips * believed_tips, root * believed_root
 
     def learn(self, innovation: Floats, covariance: Floats) -> None:
-        """Take the innovations (n, 9) of the last second and their predicted covariance (n, 9, 9), lower half.
+        """Take the innovations of the last second.
 
-        Both are 0 where a row was absent.
+        Parameters
+        ----------
+        innovation : (n, 9) float64
+            Innovations; 0 where a row was absent.
+        covariance : (n, 9, 9) float64
+            Their covariance as predicted, lower half; 0 where a row was absent.
         """
         if len(innovation) < _MIN_STEPS:
             return

@@ -18,10 +18,24 @@ _outliers = kernel("stream_outliers", ARRAY, ARRAY, INTEGER, ARRAY, REAL, ARRAY)
 
 
 def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, period_ns: float) -> Bools:
-    """Which samples (s, channels) of a stream, stamped ``t_ns`` (s,) in order, are outliers, (s,), from ``first`` on.
+    """Outliers of a stream.
 
-    Those without neighbours are none. ``noise_sigma`` (channels,) is the standard deviation of the residual by the
-    sensor's own noise, ``period_ns`` the usual time between samples.
+    Parameters
+    ----------
+    t_ns : (s,) int64
+        In order.
+    values : (s, channels) float64
+        Samples.
+    first : int
+        First sample to test; those without neighbours are none.
+    noise_sigma : (channels,) float64
+        Standard deviation of the residual by the sensor's own noise.
+    period_ns : float
+        Usual time between samples.
+
+    Returns
+    -------
+    (s,) bool
     """
     out = np.empty(len(t_ns), np.bool_)
     _outliers(t_ns, values, first, noise_sigma, period_ns, out)

@@ -22,9 +22,19 @@ _MIN_LOAD = 1e-30  # numerical, (m/s^2)^2/Hz: of a mode that no load drives
 
 
 def slope_factor_variance(layout: StateLayout, parameters: WingParameters) -> Floats:
-    """Variance (c,) of every bias parameter by the standard errors of the fitted modal frequencies.
+    """Variance of every bias parameter by the standard errors of the modal frequencies, (c,).
 
-    Zero for all but slope factors, (rad/m)^2.
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    parameters : (symmetric, antisymmetric)
+        With the standard errors of the fit.
+
+    Returns
+    -------
+    (c,) float64
+        Zero for all but slope factors, (rad/m)^2.
     """
     variance = np.zeros(len(layout.bias_parameters))
     for family, fitted in zip(layout.families, parameters, strict=True):

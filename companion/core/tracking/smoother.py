@@ -38,10 +38,23 @@ class SmoothedState:
 
 
 def smooth_between(kalman: SeparatedBiasFilter, step: int, fraction: float) -> SmoothedState:
-    """Smooth at a fraction, 0 to 1, of the way through a step of the history, with everything up to the newest step.
+    """Smooth at a fraction of the way through a step, with everything up to the newest step.
 
     Between two instants the mean path of a mode under white load, both ends known, is the cubic through both
     deflections and rates; the variance of the load's path in between is added to the covariance.
+
+    Parameters
+    ----------
+    kalman : SeparatedBiasFilter
+        Filter with its history.
+    step : int
+        In ``[kalman.steps - history, kalman.steps - 1]``.
+    fraction : float
+        0 to 1.
+
+    Returns
+    -------
+    SmoothedState
     """
     n, h = kalman.layout.size, kalman.history
     count = kalman.steps - step
@@ -88,8 +101,21 @@ _backward = kernel("smoother_backward", RECORD, INTEGER, INTEGER, ARRAY, ARRAY, 
 def backward_pass(history: History, first: int, count: int) -> tuple[Floats, Floats, Floats]:
     """Run the adjoint recursion back over ``count`` steps to ``first``.
 
-    The adjoint ``l`` (n, 1 + c) at ``first`` and at the step after it, and the adjoint information ``W`` (n, n) at
-    ``first``.
+    Parameters
+    ----------
+    history : History
+        Of the filter.
+    first : int
+        Step.
+    count : int
+        How many.
+
+    Returns
+    -------
+    adjoint, next_adjoint : (n, 1 + c) float64
+        ``l`` at ``first`` and at the step after it.
+    adjoint_information : (n, n) float64
+        ``W`` at ``first``.
     """
     _, n, width = history.state.shape
     adjoint, next_adjoint, information = np.empty((n, width)), np.empty((n, width)), np.empty((n, n))

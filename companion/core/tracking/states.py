@@ -305,8 +305,21 @@ class SensorNoise:
 def make_noise(airframe: Airframe, layout: StateLayout, step_s: float) -> SensorNoise:
     """Noise of the rows averaged over epochs of ``step_s``.
 
-    A one-sided density S averaged over h has variance ``S / (2 h)``; its first moment, ``integral (t - middle) n dt /
-    h^2``, has a twelfth of that.
+    A one-sided density S averaged over h has variance ``S / (2 h)``;
+    its first moment, ``integral (t - middle) n dt / h^2``, has a twelfth of that.
+
+    Parameters
+    ----------
+    airframe : Airframe
+        Its sensors.
+    layout : StateLayout
+        State vector of the airframe.
+    step_s : float
+        Epoch h.
+
+    Returns
+    -------
+    SensorNoise
     """
     root, tips = airframe.root, (airframe.left, airframe.right)
     per_epoch = 1.0 / (2.0 * step_s)

@@ -74,8 +74,18 @@ def deflection_peaks(
 ) -> list[PlannedInstant]:
     """Find the peaks of a family's first coordinate, in order of time, those before ``from_host_ns`` left out.
 
-    Forecast and blur are at the same instants, three or more, equally spaced. By the slope factors of the first modes
-    both tips' rates of slope tell how well the coordinate's rate is known.
+    Parameters
+    ----------
+    forecast : Forecast
+        Three instants or more, equally spaced.
+    blur : BlurForecast
+        Blur at the same instants.
+    family : int
+        0 symmetric, 1 antisymmetric.
+    factors_radpm : (symmetric, antisymmetric)
+        Slope factors of the first modes: both tips' rates of slope tell how well the coordinate's rate is known.
+    from_host_ns : int
+        Earliest instant.
     """
     first_ns, step_ns = int(forecast.t_host_ns[0]), int(forecast.t_host_ns[1] - forecast.t_host_ns[0])
     change = np.diff(forecast.q_m[:, family])  # m a step, in the middle of each

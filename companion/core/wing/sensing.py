@@ -56,7 +56,13 @@ def rotation_rows(model: WingModel, side: Side) -> Floats:
 
 
 def sense_station(model: WingModel, side: Side, position_m: Floats, motion: RigidMotion, path: ModalPath) -> Floats:
-    """Exact readings (m, 6) of an ideal sensor at a tip station, along its own, tilted axes: m/s^2 and rad/s."""
+    """Exact readings of an ideal sensor at a tip station.
+
+    Returns
+    -------
+    (m, 6) float64
+        Specific force in m/s^2 and angular rate in rad/s along the sensor's own, tilted axes.
+    """
     rows = rotation_rows(model, side)
     place, rate, acceleration = _displaced(model, side, position_m, path)
     force = motion.specific_force_mps2 + lever_arm_mps2(motion, position_m + place)

@@ -24,10 +24,21 @@ _NODES = 96  # of Gauss and Legendre: exact to ten digits for the first six shap
 
 
 def shortening_pm(ranks: tuple[int, ...], lever_m: float, slope_factors_radpm: Sequence[float] | Floats = ()) -> Floats:
-    """K (n, n), 1/m: how far a bent wing's tip at ``lever_m`` moves inboard; zeros at the root itself.
+    """How far a bent wing's tip moves inboard.
 
-    ``ranks`` are those of the n modes, 0 for the lowest; their slope factors, where left out, a uniform cantilever's.
-    Those of the lowest modes do not count.
+    Parameters
+    ----------
+    ranks : tuple of int
+        Of the n modes, 0 for the lowest.
+    lever_m : float
+        Place of the tip from the root.
+    slope_factors_radpm : n floats, optional
+        Of the modes; a uniform cantilever's where they are left out. Those of the lowest modes do not count.
+
+    Returns
+    -------
+    (n, n) float64
+        K in 1/m; zeros at the root itself.
     """
     if not lever_m or not ranks:
         return np.zeros((len(ranks), len(ranks)))

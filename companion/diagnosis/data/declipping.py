@@ -26,10 +26,21 @@ _FEWEST = 12  # chosen: bins to either side at least: a spectrum is then known t
 
 
 def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floats:
-    """Channels (c, m) on an even grid with the cut samples, which ``values`` (c, m) has at their limits, drawn anew.
+    """Draw what has been cut.
 
-    ``beyond`` (c, m) is 1 where the truth is at least what was recorded, -1 where it is at most that, 0 where it is
-    recorded. The sweeps begin at ``interpolated`` (c, m), where the cut samples are guessed.
+    Parameters
+    ----------
+    values : (c, m)
+        All channels on an even grid, the cut samples at their limits.
+    beyond : (c, m)
+        1 where the truth is at least what was recorded, -1 where it is at most that, 0 where it is recorded.
+    interpolated : (c, m)
+        The same channels with the cut samples guessed: there the sweeps begin.
+
+    Returns
+    -------
+    (c, m)
+        The same with the cut samples beyond their limits.
     """
     rng = np.random.default_rng(_SEED)
     drawn = interpolated.copy()

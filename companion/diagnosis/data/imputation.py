@@ -26,7 +26,19 @@ _LEFT = 0.01  # of the power missing at first that may be missing at last (choic
 
 
 def impute_missing(values: Floats, missing: Bools) -> Floats:
-    """Channels (c, m) on an even grid with samples drawn where they are ``missing`` (c, m) and were guessed."""
+    """Draw what is missing.
+
+    Parameters
+    ----------
+    values : (c, m)
+        All channels on an even grid, the missing samples guessed.
+    missing : (c, m)
+        Which samples these are.
+
+    Returns
+    -------
+    (c, m)
+    """
     missing_ratio = float(np.max(np.mean(missing, axis=1)))
     if missing_ratio == 0.0:
         return values

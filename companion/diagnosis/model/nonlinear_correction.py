@@ -80,7 +80,10 @@ class SensorLineariser:
     def corrected_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
         """Undo what effects do to samples that no linear response describes: bends first, then delays in their order.
 
-        Accelerations (c, m), and the scale (c,) on them that the effects' linear part amounts to.
+        Returns
+        -------
+        (c, m), (c,)
+            Accelerations, and the scale on them that the effects' linear part amounts to.
         """
         sensor_effects = tuple(
             effect for effect in effects if type(effect).response is Effect.response and _acts_on_samples(effect)

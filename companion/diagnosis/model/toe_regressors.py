@@ -14,10 +14,16 @@ from companion.records import Floats
 def toe_regressors(
     toe: ToeData, modal: Floats, rates: Floats, load_factor: Floats, expected_rad: Floats
 ) -> dict[str, Floats]:
-    """Regressors (k,) of the toe at k exposures, each about its mean (but the whole reading) and of rms 1.
+    """Regressors of the toe, each about its mean (but the whole reading) and of rms 1, (k,).
 
-    ``modal`` and ``rates`` (n, k) are the smoothed modes, ``load_factor`` (k,) the wing's, ``expected_rad`` (k,) the
-    whole reading: B/Z of the reference plus the expected toe.
+    Parameters
+    ----------
+    toe : ToeData
+        The exposures.
+    modal, rates : (n, k)
+        Smoothed modes at the exposures.
+    load_factor, expected_rad : (k,)
+        Load factor of the wing, and the whole reading: B/Z of the reference plus the expected toe, rad.
     """
     q, rate = modal[0], rates[0]
     x, nearness = across(toe.t_s), toe.inverse_m - toe.inverse_m.mean()

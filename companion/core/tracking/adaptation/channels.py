@@ -35,11 +35,28 @@ class Channels:
         aliasing_noise: float,
         bend_per_g_m: float,
     ) -> tuple[Floats, NoiseSpectrum]:
-        """Samples (n,) of a family's channel, m/s^2, and the spectrum of their noise.
+        """Samples of a family's channel and the spectrum of their noise.
 
-        ``rows`` (n, COLUMNS) are the history, corrected by the bias parameters; ``families`` both where only ``tip`` is
-        present; ``parameters`` and ``bend_per_g_m`` as estimated by now; ``aliasing_noise`` the mean of that of the
-        epochs.
+        Parameters
+        ----------
+        rows : (n, COLUMNS) float64
+            Stored history, corrected by the bias parameters.
+        families : tuple of int
+            Both where only one tip is present.
+        tip : int
+            The tip that is present.
+        parameters : (symmetric, antisymmetric)
+            As estimated by now.
+        aliasing_noise : float
+            Mean of ``Epochs.aliasing_noise``.
+        bend_per_g_m : float
+            As estimated by now.
+
+        Returns
+        -------
+        samples : (n,) float64
+            m/s^2.
+        noise_spectrum : NoiseSpectrum
         """
         bend = StaticBendResponse(parameters[0].frequency_hz, parameters[0].damping, bend_per_g_m / GRAVITY_MPS2)
         white, aliasing_density = float(self._tips.sum() / 4.0), self._aliasing_density(parameters, aliasing_noise)

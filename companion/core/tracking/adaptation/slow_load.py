@@ -73,8 +73,20 @@ def slow_corner_hz(
     """Corner whose slow load is the mean of those that periodogram and rates leave possible.
 
     Far below a corner c the density goes with ``c^-2``, the load at the reference frequency held. The mean is over the
-    likelihood, between :data:`LEAST_CORNER_HZ` and the fit's own corner. ``log_params`` (p,) are the fit's, those of
-    the family from ``first`` on, and ``rates`` its own.
+    likelihood, between :data:`LEAST_CORNER_HZ` and the fit's own corner.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        That the family was fitted to.
+    prior : LogNormalPrior
+        Of the parameters.
+    log_params : (p,) float64
+        Fit.
+    first : int
+        Where the family begins in them.
+    rates : SlopeRates, optional
+        Of the same family.
     """
     corners = first + np.array([CORNER_1, CORNER_2])
     at = int(corners[np.argmin(log_params[corners])])

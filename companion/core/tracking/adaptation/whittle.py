@@ -67,7 +67,22 @@ _improve = kernel("whittle_improve", RECORD, RECORD, ARRAY, INTEGER, ARRAY, ARRA
 
 
 def expected_power(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> Floats:
-    """Expected periodogram (b,) at the logarithms (p,) of the parameters, (m/s^2)^2/Hz."""
+    """Expected periodogram at the parameters.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    log_params : (p,) float64
+        Logarithms of the parameters.
+
+    Returns
+    -------
+    (b,) float64
+        (m/s^2)^2/Hz.
+    """
     expected = np.empty(len(periodogram.power))
     _expected(_pack_periodogram(periodogram), _pack_prior(prior), log_params, expected)
     return expected
@@ -94,7 +109,10 @@ def _costs(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) 
 def fit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: int) -> WhittleFit:
     """Improve ``start`` (p,) by at most ``rounds`` steps of Fisher scoring with Levenberg-Marquardt damping.
 
-    The sigmas are those of the inverse Fisher information at the end.
+    Returns
+    -------
+    WhittleFit
+        ``log_sigma`` is from the inverse Fisher information at the end.
     """
     log_params, best, information = start.copy(), np.empty(1), np.empty((len(start), len(start)))
     _improve(_pack_periodogram(periodogram), _pack_prior(prior), log_params, rounds, information, best)
@@ -103,7 +121,23 @@ def fit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: 
 
 
 def gradient_and_fisher(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> tuple[Floats, Floats]:
-    """Gradient (p,) and expected information (p, p) of the negative log posterior at ``log_params`` (p,)."""
+    """Gradient and Fisher information of the negative log posterior.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    log_params : (p,) float64
+        Logarithms of the parameters.
+
+    Returns
+    -------
+    gradient : (p,) float64
+    information : (p, p) float64
+        Expected, prior included.
+    """
     gradient, information = np.empty(len(log_params)), np.empty((len(log_params), len(log_params)))
     _gradient(_pack_periodogram(periodogram), _pack_prior(prior), log_params, gradient, information)
     return gradient, information
@@ -114,8 +148,23 @@ def scan(
 ) -> tuple[Floats, Floats]:
     """Negative log posterior with one parameter at ``prior.mean + offsets`` and its family's load rescaled to fit.
 
-    ``which`` is the parameter's index in ``start`` (p,); two behind it is its load. Costs (m,) and log parameters (m,
-    p) by ``offsets`` (m,) of its logarithm.
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    start : (p,) float64
+        Log parameters to begin from.
+    which : int
+        Index of the parameter; two behind it is its load.
+    offsets : (m,) float64
+        Offsets of the parameter's logarithm.
+
+    Returns
+    -------
+    costs : (m,) float64
+    starts : (m, p) float64
     """
     load = which + 2
     starts = np.tile(start, (len(offsets), 1))
@@ -134,10 +183,24 @@ def scan(
 def find_unmodelled_peak(
     periodogram: Periodogram, prior: LogNormalPrior, start: Floats, which: int
 ) -> tuple[Floats, float]:
-    """Peak of the periodogram that the model at ``start`` (p,) does not explain, as a place for a further mode.
+    """Peak of the periodogram that the model at ``start`` does not explain, as a place for a further mode.
 
-    The frequency of index ``which`` is moved, damping and load follow it: the moved log parameters (p,), and the log
-    likelihood that they may gain.
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    start : (p,) float64
+        Log parameters to begin from.
+    which : int
+        Index of the frequency to move; its damping and load follow it.
+
+    Returns
+    -------
+    moved : (p,) float64
+    gain : float
+        Log likelihood that it may gain.
     """
     expected = expected_power(periodogram, prior, start)
     f, w = periodogram.frequency_hz, periodogram.weight
