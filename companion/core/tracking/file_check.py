@@ -9,7 +9,7 @@ from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 
 _PERIOD_S = 1.0  # chosen: between looks
-_MOST_SIGMAS = 6.0  # chosen: sound flights reach 2.7 (constants) and 3.0 (frequencies), a scale 3 % off of 0.5 % 12
+_MOST_SIGMAS = 6.0  # chosen: sound flights reach 2.7 (constants) and 3.2 (frequencies), a scale 3 % off of 0.5 % 12
 _AGAIN_SIGMAS = 3.0  # chosen: what has contradicted lasts until it is what a sound flight has
 _LOOKS = 3  # chosen, in a row: what a blow teaches for a moment is no constant
 FILE_CHECK_S = _LOOKS * _PERIOD_S
