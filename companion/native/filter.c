@@ -576,10 +576,16 @@ static bool factorise(run *f, bool robust)
     return true;
 }
 
+/* Variance of the root's vertical motion that its samples do not resolve and that loads the wing. */
+static double struck_variance(const run *f, int64_t k)
+{
+    return f->root_vibrates[k] ? 0.0 : f->root_motion_variance[3 * k];
+}
+
 /* Variance of a vertical row by motion of the root that is not resolved, and by the load that it makes. */
 static double unresolved_variance(const run *f, int64_t k)
 {
-    return f->root_vibrates[k] ? 0.0 : (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+    return (1.0 + LOAD_VARIANCE_RATIO) * struck_variance(f, k);
 }
 
 /* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate. */
@@ -739,8 +745,7 @@ static bool step(run *f, int64_t k, int64_t slot)
     find_innovation(f, k, innovation);
     project_covariance(f);
     double by_load = f->load_noise_in_rows[Z_LEFT * ROWS + Z_LEFT];
-    double struck = f->root_vibrates[k] ? 0.0 : f->root_motion_variance[3 * k];
-    double shaken = LOAD_VARIANCE_RATIO * struck / by_load;
+    double shaken = LOAD_VARIANCE_RATIO * struck_variance(f, k) / by_load;
     double noise_inflation = least(1.0 + shaken, MAX_NOISE_INFLATION);
     find_innovation_covariance(f, k, noise_inflation);
     sum_innovation(f, slot);
@@ -845,7 +850,8 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
     f->root_vibrates = truths(record->root_vibrates, 1, &good);
-    return good && extent(record->root_vibrates, 0) >= last && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+    return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+           extent(record->root_vibrates, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
            extent(record->earlier_roll_radps2, 0) >= last && extent(record->root_motion_variance, 0) >= last &&
            extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1;
