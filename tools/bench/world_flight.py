@@ -191,8 +191,7 @@ def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
 def as_stamped(matches: MatchSet, flight: Flight) -> MatchSet:
     """The matches with each camera's own stamps, as wrong as the airframe file states."""
     rng = np.random.default_rng([flight.seed, matches.pair_id, *b"stamps"])
-    cameras = (flight.airframe.left_camera, flight.airframe.right_camera)
-    sigma_s = np.array([camera.stamp_sigma_s for camera in cameras if camera is not None])
+    sigma_s = np.array([camera.stamp_sigma_s for camera in flight.airframe.camera_pair])
     error_ns = np.rint(sigma_s * rng.standard_normal(2) * _S).astype(np.int64)
     return dataclasses.replace(matches, mid_exposure_ns=matches.mid_exposure_ns + error_ns)
 
