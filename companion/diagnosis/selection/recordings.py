@@ -1,7 +1,7 @@
 """Recordings of any kind as the engine asks them, and the causes that it keeps.
 
 A model is ``parameters``, ``log_likelihood`` and ``scores`` (:class:`.fisher_scoring.LikelihoodModel`). Recordings fit
-it with any terms, screen further terms, judge what is left against what the model would ``draw``, and ``predict``
+it with any terms, screen further terms, judge what is left against what the model makes by chance, and ``predict``
 blocks that were not fitted.
 """
 
