@@ -42,7 +42,8 @@ typedef struct {
 } model_record;
 
 typedef struct {
-    const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums;
+    const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums, *bias_covariance,
+        *teachable;
 } state_record;
 
 /* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: itself, and what the slope row has of
@@ -88,6 +89,9 @@ typedef struct {
     const uint8_t *present, *root_vibrates;
 
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
+    const double *bias_covariance;
+    const int64_t *teachable;
+    int64_t teachable_count;
     history h;
 
     int64_t ranks;
@@ -95,7 +99,9 @@ typedef struct {
     double beyond[2]; /* see beyond_expected */
     int64_t count, used[ROWS], position[ROWS];
     double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
+    double gate_square[ROWS]; /* square of the gate, in variances of the whitened row */
     double *state, *linearised, *H, *HP, *next_state, *next_covariance, *factor; /* the last: entries of a row */
+    double *sensitivity;
     int64_t *entry;
 } run;
 
@@ -551,7 +557,7 @@ static void sum_innovation(run *f, int64_t slot)
 }
 
 /* Cholesky factor L of S in place, diagonal inverted, and the whitened innovation; false without one. `robust`: the
- * pivot p of each row with an innovation e beyond the gate is raised to |e| sqrt(p) / GATE_SIGMAS (Huber's weight). */
+ * pivot p of each row with an innovation e beyond the gate is raised to |e| sqrt(p) over it (Huber's weight). */
 static bool factorise(run *f, bool robust)
 {
     for (int64_t r = 0; r < f->count; r++) {
@@ -569,7 +575,7 @@ static bool factorise(run *f, bool robust)
         if (!(0.0 < pivot && pivot < INFINITY))
             return false;
         if (robust)
-            pivot = most(pivot, fabs(innovation) * sqrt(pivot) / GATE_SIGMAS);
+            pivot = most(pivot, fabs(innovation) * sqrt(pivot / f->gate_square[r]));
         f->S[r][r] = 1.0 / sqrt(pivot);
         f->whitened[r] = innovation * f->S[r][r];
     }
@@ -588,8 +594,31 @@ static double unresolved_variance(const run *f, int64_t k)
     return (1.0 + LOAD_VARIANCE_RATIO) * struck_variance(f, k);
 }
 
-/* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate. */
-static bool gate(run *f, int64_t k, double *excess)
+/* Variance of a whitened row by the bias parameters that a flight may teach, beside its own of 1; `rows` as predicted:
+ * [e | D] (count, width). */
+static double variance_by_parameters(run *f, const double *rows, int64_t r)
+{
+    double weights[ROWS], variance = 0.0;
+    weights[r] = f->S[r][r]; /* row r of L^-1 */
+    for (int64_t q = r - 1; q >= 0; q--) {
+        double sum = 0.0;
+        for (int64_t j = q + 1; j <= r; j++)
+            sum += weights[j] * f->S[j][q];
+        weights[q] = -sum * f->S[q][q];
+    }
+    memset(f->sensitivity, 0, (size_t)f->h.width * sizeof *f->sensitivity);
+    add_combination(f->sensitivity, f->h.width, rows, f->h.width, weights, 1, r + 1);
+    for (int64_t i = 0; i < f->teachable_count; i++)
+        for (int64_t j = 0; j < f->teachable_count; j++) {
+            int64_t a = f->teachable[i], b = f->teachable[j];
+            variance += f->sensitivity[1 + a] * f->bias_covariance[a * (f->h.width - 1) + b] * f->sensitivity[1 + b];
+        }
+    return most(variance, 0.0);
+}
+
+/* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate, which is as wide as the bias
+ * parameters are uncertain. */
+static bool gate(run *f, int64_t k, const double *rows, double *excess)
 {
     double square_sum = 0.0, fade = 1.0 - f->constants->step_s;
     bool gated = false;
@@ -597,9 +626,12 @@ static bool gate(run *f, int64_t k, double *excess)
     for (int64_t r = 0; r < f->count; r++) {
         int64_t row = f->used[r];
         double square = squared(f->whitened[r]), by_root = 0.0;
-        if (square > squared(GATE_SIGMAS)) {
+        f->gate_square[r] = squared(GATE_SIGMAS);
+        if (square > f->gate_square[r])
+            f->gate_square[r] *= 1.0 + variance_by_parameters(f, rows, r);
+        if (square > f->gate_square[r]) {
             gated = true;
-            double beyond = most(fabs(f->innovation[r]) - GATE_SIGMAS * sqrt(f->predicted_variance[r]), 0.0);
+            double beyond = most(fabs(f->innovation[r]) - sqrt(f->gate_square[r] * f->predicted_variance[r]), 0.0);
             excess[row] = f->innovation[r] < 0.0 ? -beyond : beyond;
         }
         if (row < M_LEFT)
@@ -610,21 +642,21 @@ static bool gate(run *f, int64_t k, double *excess)
             excess[row] = f->innovation[r];
         square_sum += square;
     }
-    f->nis_sums[0] = fade * f->nis_sums[0] + least(square_sum, MAX_STEP_NIS);
+    f->nis_sums[0] = fade * f->nis_sums[0] + (gated ? least(square_sum, MAX_STEP_NIS) : square_sum);
     f->nis_sums[1] = fade * f->nis_sums[1] + (double)f->count;
     return gated;
 }
 
-/* Factor on the process noise that adds e^2 - GATE_SIGMAS^2 S to the variance S of each gated vertical row at least: a
+/* Factor on the process noise that adds e^2 - g^2 S to the variance S of each vertical row beyond the gate g at least: a
  * large innovation e then lies at about one sigma. */
 static double inflate_process_noise(const run *f, double before)
 {
     double inflation = before;
     for (int64_t r = 0; r < f->count; r++) {
         int64_t row = f->used[r];
-        if (row >= M_LEFT || !(squared(f->whitened[r]) > squared(GATE_SIGMAS)))
+        if (row >= M_LEFT || !(squared(f->whitened[r]) > f->gate_square[r]))
             continue;
-        double uncovered = squared(f->innovation[r]) - squared(GATE_SIGMAS) * f->predicted_variance[r];
+        double uncovered = squared(f->innovation[r]) - f->gate_square[r] * f->predicted_variance[r];
         inflation = most(inflation, before + uncovered / f->load_noise_in_rows[row * ROWS + row]);
     }
     return least(inflation, MAX_NOISE_INFLATION);
@@ -751,7 +783,7 @@ static bool step(run *f, int64_t k, int64_t slot)
     sum_innovation(f, slot);
     if (!factorise(f, false))
         return false;
-    bool gated = gate(f, k, f->h.gate_excess + slot * ROWS);
+    bool gated = gate(f, k, innovation, f->h.gate_excess + slot * ROWS);
     if (gated) {
         noise_inflation = inflate_process_noise(f, noise_inflation);
         find_innovation_covariance(f, k, noise_inflation);
@@ -866,7 +898,10 @@ static bool read_state(const state_record *record, run *f)
     f->information = reals(record->information, 2, &good);
     f->one_and_bias = reals(record->one_and_bias, 1, &good);
     f->nis_sums = reals(record->nis_sums, 1, &good);
-    return good && has_shape(record->state_and_sensitivity, n + 1, width, -1) &&
+    f->bias_covariance = reals(record->bias_covariance, 2, &good);
+    f->teachable = integers(record->teachable, 1, &good);
+    f->teachable_count = extent(record->teachable, 0);
+    return good && has_shape(record->bias_covariance, width - 1, width - 1, -1) && has_shape(record->state_and_sensitivity, n + 1, width, -1) &&
            has_shape(record->covariance, n, n, -1) && has_shape(record->information, width, width, -1) &&
            extent(record->one_and_bias, 0) == width;
 }
@@ -882,7 +917,7 @@ EXPORT int64_t filter_epochs(const constants_record *constants, const model_reco
         !read_epochs(epochs, last, &f) || !read_state(state, &f))
         return BAD_ARRAY;
     int64_t n = f.h.n, width = f.h.width;
-    size_t room = (size_t)(n + 1 + f.linearised_rows + ROWS * (n + 1) + ROWS * n + n * width + n * n + n + 1);
+    size_t room = (size_t)(n + 1 + f.linearised_rows + ROWS * (n + 1) + ROWS * n + n * width + n * n + n + 1 + width);
     f.state = malloc(room * sizeof(double));
     f.entry = malloc((size_t)(n + 1) * sizeof *f.entry);
     if (!f.state || !f.entry) {
@@ -896,6 +931,7 @@ EXPORT int64_t filter_epochs(const constants_record *constants, const model_reco
     f.next_state = f.HP + ROWS * n;
     f.next_covariance = f.next_state + n * width;
     f.factor = f.next_covariance + n * n;
+    f.sensitivity = f.factor + n + 1;
     bool finite = true;
     for (int64_t k = first; k < last && finite; k++)
         finite = step(&f, k, (steps + k - first) % f.h.size);

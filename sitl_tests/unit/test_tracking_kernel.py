@@ -17,7 +17,7 @@ from companion.core.tracking.kernel_arrays import given_sum
 from companion.core.tracking.model import build_model, propagation
 from companion.core.tracking.parameters import ModeParameters, prior_parameters
 from companion.core.tracking.row_noise import RowNoise
-from companion.core.tracking.states import M_LEFT, ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
+from companion.core.tracking.states import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Floats
@@ -120,7 +120,8 @@ def _after(kalman: SeparatedBiasFilter, tips_mps2: tuple[float, float], root_mps
     rows[:at] = _flown(kalman)[:at]
     rows[at, Z_LEFT : Z_LEFT + 2], root[at, 0] = tips_mps2, root_mps2**2
     const, model, state, history = _kernel_arguments(kalman)
-    epochs = epochs._replace(rows=rows, root_motion_variance=root)
+    as_believed = np.zeros_like(epochs.sensitivity)
+    epochs = epochs._replace(rows=rows, root_motion_variance=root, sensitivity=as_believed)
     plain = [array.copy() for array in state]
     assert kernel_loops.filter_epochs(const, model, epochs, state, history, 0, at + 1, 0)
     twin = FilterState(*plain)
@@ -154,6 +155,30 @@ def test_a_blow_makes_the_loads_uncertain_and_not_the_roll() -> None:
     assert struck[load, load] > 10.0 * calm[load, load]
     assert np.diag(struck)[roll] == pytest.approx(np.diag(calm)[roll], rel=0.05)
     assert np.all(np.diag(struck)[biases] < 1.05 * np.diag(calm)[biases])
+
+
+@pytest.mark.parametrize(
+    ("explained_by", "sigmas", "teaches"),
+    [("left.kp", 0.0, False), ("left.kp", 1.0, False), ("left.kp", 2.0, True), ("root.kp", 2.0, False)],
+)
+def test_an_innovation_teaches_where_bias_parameters_that_a_flight_tells_explain_it(
+    explained_by: str, sigmas: float, teaches: bool
+) -> None:
+    """Eight sigma of the row lie beyond a gate of five, but not of ``5 sqrt(1 + 2^2)``."""
+    kalman = _filter()
+    const, model, state, history = _kernel_arguments(kalman)
+    epochs, column = _epochs(kalman, 0.0), kalman.layout.bias_parameters.index(explained_by)
+    only_roll_rate = np.broadcast_to(np.arange(ROWS) == P_LEFT, (STEPS, ROWS)).copy()
+    quiet = {"root_motion_variance": np.zeros((STEPS, 3)), "sensitivity": np.zeros_like(epochs.sensitivity)}
+    epochs = epochs._replace(rows=np.zeros((STEPS, ROWS)), present=only_roll_rate, **quiet)
+    looking = kalman.fork(kalman.model)
+    assert kernel_loops.filter_epochs(*_kernel_arguments(looking)[:2], epochs, *_kernel_arguments(looking)[2:], 0, 1, 0)
+    row_sigma = np.sqrt(looking.history.innovation_covariance[0, P_LEFT, P_LEFT])
+    epochs.rows[0, P_LEFT] = 8.0 * row_sigma
+    epochs.sensitivity[0, P_LEFT, column] = sigmas * row_sigma / kalman.layout.bias_parameter_sigma[column]
+    assert kernel_loops.filter_epochs(const, model, epochs, state, history, 0, 1, 0)
+    assert (history.gate_excess[0, P_LEFT] == 0.0) == teaches
+    assert (state.information[0, 0] > 0.0) == teaches
 
 
 def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:

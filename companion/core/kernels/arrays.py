@@ -8,9 +8,11 @@ Process and measurement noise have heavy tails. An innovation e of a vertical ro
 process noise of that step until the row's variance S is larger by ``e^2 - 25 S``, so that a large e lies at about one
 sigma: the state follows a blow, and its covariance says so. Any other row beyond the gate is given the variance
 ``|e| sqrt(S) / 5``, that is Huber's weight ``5 sqrt(S) / |e|``. The bias parameters learn nothing from such a step.
+The gate is wider where the bias parameters that a flight may teach are uncertain: by their share of a whitened row's
+variance. What they may explain teaches them instead.
 Where the root is struck, the load factor then measured bends no wing: modes and loads become as uncertain as those of
-an unknown gust. A step's normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow
-of 20 ms is no contradiction of the model, a lasting one is.
+an unknown gust. A step's normalised innovation squared (NIS) is counted as without the inflation, but bounded where a
+row lies beyond the gate: a blow of 20 ms is no contradiction of the model, a lasting one is.
 """
 
 from __future__ import annotations
@@ -250,7 +252,11 @@ class FilterState(NamedTuple):
     one_and_bias : (1 + c,) float64
         ``[1; bias parameters]``.
     nis_sums : (2,) float64
-        Sums, fading over a second, of the NIS (bounded in each step) and of the number of rows.
+        Sums, fading over a second, of the NIS (bounded in steps beyond the gate) and of the number of rows.
+    bias_covariance : (c, c) float64
+        Of the bias parameters.
+    teachable : (t,) int64
+        Those bias parameters that a flight may teach: the gate is as wide as they are uncertain.
     """
 
     state_and_sensitivity: Floats
@@ -258,6 +264,8 @@ class FilterState(NamedTuple):
     information: Floats
     one_and_bias: Floats
     nis_sums: Floats
+    bias_covariance: Floats
+    teachable: Ints
 
 
 class History(NamedTuple):

@@ -88,9 +88,7 @@ class SeparatedBiasFilter:
         self._by_parameters = 0.0  # of the NIS's sum, by the covariance of those that a flight may teach
         self._teachable = np.setdiff1d(np.arange(c), self._considered)
         self.finite = self._linearises_at_estimate = True
-        self._filter_state = FilterState(
-            self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
-        )
+        self._filter_state = self._state_of_loops(np.zeros((1 + c, 1 + c)))
         self.history = make_history(history_length, n, c, ROWS)
         self._constants = kernel_constants(layout, noise, model, trim_m, bend_per_g_m)
         self.switch_model(model)
@@ -101,10 +99,7 @@ class SeparatedBiasFilter:
         other.state_and_sensitivity, other.covariance = self.state_and_sensitivity.copy(), self.covariance.copy()
         other.bias_parameters, other._bias_covariance = (self.bias_parameters.copy(), self._bias_covariance.copy())
         other._one_and_bias = self._one_and_bias.copy()
-        accumulated = self._filter_state.information.copy()
-        other._filter_state = FilterState(
-            other.state_and_sensitivity, other.covariance, accumulated, other._one_and_bias, np.zeros(2)
-        )
+        other._filter_state = other._state_of_loops(self._filter_state.information.copy())
         other._by_parameters = 0.0
         other.history = make_history(1, self.layout.size, len(self.bias_parameters), ROWS)
         other.steps = 0
@@ -115,6 +110,11 @@ class SeparatedBiasFilter:
                 transition_index=other._store_transition(self._discrete_model.transition)
             )
         return other
+
+    def _state_of_loops(self, information: Floats) -> FilterState:
+        """Arrays that the compiled loops update, with the information (1 + c, 1 + c) of its steps."""
+        state = (self.state_and_sensitivity, self.covariance, information, self._one_and_bias, np.zeros(2))
+        return FilterState(*state, self._bias_covariance, self._teachable)
 
     def _set_considered(self, considered: Ints) -> None:
         """Consider these bias parameters and estimate all others, of which biases of rates and slope factors wander.

@@ -88,15 +88,16 @@ def _filter_step(
     if cholesky is None:
         return False
     whitened = _whiten(cholesky, row_innovation)
-    gated = np.abs(whitened) > GATE_SIGMAS
+    gate_square = _gate_square(filter_state, cholesky, innovation)
+    gated = whitened**2 > gate_square
     gate_excess, predicted_variance = np.zeros(len(used)), np.diag(S)
     if gated.any():
         noise_inflation = _inflate_process_noise(
-            model, used, gated, row_innovation, predicted_variance, noise_inflation
+            model, used, gated, row_innovation, gate_square * predicted_variance, noise_inflation
         )
-        gate_excess = _gate_excess(gated, row_innovation, predicted_variance)
+        gate_excess = _gate_excess(gated, row_innovation, gate_square * predicted_variance)
         S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state, one_and_bias)[np.ix_(used, used)]
-        cholesky = _robust_cholesky(S, row_innovation)
+        cholesky = _robust_cholesky(S, row_innovation, gate_square)
         if cholesky is None:
             return False
     by_root = np.zeros(ROWS)
@@ -111,7 +112,8 @@ def _filter_step(
     history.gate_excess[slot] = 0.0
     history.gate_excess[slot, used] = gate_excess
     fade = 1.0 - const.step_s
-    filter_state.nis_sums[0] = fade * filter_state.nis_sums[0] + min(float(np.sum(whitened**2)), MAX_STEP_NIS)
+    bound = MAX_STEP_NIS if gated.any() else np.inf
+    filter_state.nis_sums[0] = fade * filter_state.nis_sums[0] + min(float(np.sum(whitened**2)), bound)
     filter_state.nis_sums[1] = fade * filter_state.nis_sums[1] + len(used)
     if not gated.any():
         filter_state.information[:] += innovation.T @ innovation
@@ -147,26 +149,33 @@ def _whiten(cholesky: Floats, rows: Floats) -> Floats:
     return np.asarray(lapack.dtrtrs(cholesky, rows, lower=1)[0]).reshape(rows.shape) if len(rows) else rows
 
 
+def _gate_square(filter_state: FilterState, cholesky: Floats, innovation: Floats) -> Floats:
+    """Square of the gate by row, in variances of the whitened row: wider by the uncertain bias parameters."""
+    at = filter_state.teachable
+    whitened = _whiten(cholesky, innovation)
+    D, row = whitened[:, 1 + at], whitened @ filter_state.one_and_bias
+    by_parameters = np.sum(D @ filter_state.bias_covariance[np.ix_(at, at)] * D, axis=1)
+    return GATE_SIGMAS**2 * np.where(row**2 > GATE_SIGMAS**2, 1.0 + np.maximum(by_parameters, 0.0), 1.0)
+
+
 def _inflate_process_noise(
-    model: DiscreteModel, used: Ints, gated: Bools, row_innovation: Floats, predicted_variance: Floats, before: float
+    model: DiscreteModel, used: Ints, gated: Bools, row_innovation: Floats, gate_variance: Floats, before: float
 ) -> float:
     """Factor on the process noise that adds what the gate leaves of a gated vertical row's square to its variance."""
     vertical = gated & (used < M_LEFT)
-    uncovered = row_innovation**2 - GATE_SIGMAS**2 * predicted_variance
+    uncovered = row_innovation**2 - gate_variance
     needed = uncovered[vertical] / np.diag(model.load_noise_in_rows)[used[vertical]]
     return min(before + float(np.max(needed, initial=0.0)), MAX_NOISE_INFLATION)
 
 
-def _gate_excess(gated: Bools, row_innovation: Floats, predicted_variance: Floats) -> Floats:
+def _gate_excess(gated: Bools, row_innovation: Floats, gate_variance: Floats) -> Floats:
     """Signed part of each gated innovation beyond the gate."""
     return np.where(
-        gated,
-        np.sign(row_innovation) * np.maximum(np.abs(row_innovation) - GATE_SIGMAS * np.sqrt(predicted_variance), 0.0),
-        0.0,
+        gated, np.sign(row_innovation) * np.maximum(np.abs(row_innovation) - np.sqrt(gate_variance), 0.0), 0.0
     )
 
 
-def _robust_cholesky(S: Floats, row_innovation: Floats) -> Floats | None:
+def _robust_cholesky(S: Floats, row_innovation: Floats, gate_square: Floats) -> Floats | None:
     """Cholesky factor, row by row, with the pivot of each row beyond the gate raised by Huber's weight."""
     count = len(row_innovation)
     cholesky, whitened = np.zeros((count, count)), np.zeros(count)
@@ -179,7 +188,7 @@ def _robust_cholesky(S: Floats, row_innovation: Floats) -> Floats | None:
         )
         if not 0.0 < pivot < np.inf:
             return None
-        pivot = max(pivot, abs(innovation) * np.sqrt(pivot) / GATE_SIGMAS)
+        pivot = max(pivot, abs(innovation) * np.sqrt(pivot / gate_square[r]))
         cholesky[r, r], whitened[r] = np.sqrt(pivot), innovation / np.sqrt(pivot)
     return cholesky
 
