@@ -236,7 +236,7 @@ class Airframe:
     def camera_pair(self) -> tuple[Camera, Camera]:
         """Left and right camera; :class:`ConfigError` where there are none."""
         if self.left_camera is None or self.right_camera is None:
-            raise ConfigError(f"airframe '{self.name}' has no camera pair")
+            raise ConfigError(f"airframe '{self.name}' has no camera pair: it needs left_camera and right_camera")
         return self.left_camera, self.right_camera
 
     def with_sensors(self, change: Callable[[Station, Sensor], Sensor]) -> Airframe:

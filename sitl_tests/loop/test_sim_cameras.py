@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.errors import DeviceError
+from companion.errors import ConfigError, DeviceError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.ports import CameraPair, Trigger
@@ -102,7 +102,7 @@ def test_the_middle_rows_middle_is_stamped_with_a_rolling_shutter() -> None:
 
 
 def test_an_airframe_without_cameras_is_refused() -> None:
-    with pytest.raises(DeviceError, match="no camera pair"):
+    with pytest.raises(ConfigError, match="no camera pair"):
         Shutters(dataclasses.replace(AIRFRAME, left_camera=None), 1)
 
 

@@ -171,10 +171,9 @@ class Rig:
     @classmethod
     def from_airframe(cls, airframe: Airframe) -> Rig:
         """Build the rig, or raise :class:`ConfigError` when the airframe has no usable pair."""
-        if airframe.left_camera is None or airframe.right_camera is None:
-            raise ConfigError(f"airframe '{airframe.name}' needs left_camera and right_camera for stereo")
-        left = MountedCamera.from_record(Side.LEFT, airframe.left_camera, "left_camera")
-        right = MountedCamera.from_record(Side.RIGHT, airframe.right_camera, "right_camera")
+        left_camera, right_camera = airframe.camera_pair
+        left = MountedCamera.from_record(Side.LEFT, left_camera, "left_camera")
+        right = MountedCamera.from_record(Side.RIGHT, right_camera, "right_camera")
         _check_pair(left, right, airframe.name)
         return cls(left, right)
 

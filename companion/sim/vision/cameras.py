@@ -42,9 +42,7 @@ class Shutters:
     """
 
     def __init__(self, airframe: Airframe, seed: int) -> None:
-        if airframe.left_camera is None or airframe.right_camera is None:
-            raise DeviceError(f"airframe '{airframe.name}' has no camera pair to simulate")
-        self.cameras: tuple[Camera, Camera] = (airframe.left_camera, airframe.right_camera)
+        self.cameras: tuple[Camera, Camera] = airframe.camera_pair
         self.seed = seed
 
     def exposure(self, side: Side, edge_ns: int, shot: int) -> ExposureInterval:
