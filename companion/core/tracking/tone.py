@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.tracking.streams import SampleBuffer
+from companion.core.wing.lowpass import Butterworth2
 from companion.params.airframe import Sensor
 from companion.records import Floats, ImuBatch, Reject, Rejected, Station
 
@@ -130,7 +131,7 @@ class ToneTracker:
         )
 
     def _describe(self, line: _Line, t_ns: int, from_middle_s: float) -> ToneEstimate:
-        gain, lag = _butterworth(line.frequency_hz, self._cutoff_hz)
+        gain, lag = _response(line.frequency_hz, self._cutoff_hz)
         a, b = line.coefficients
         measured = float(np.hypot(a, b))
         window, omega = self._window_s, 2.0 * np.pi * line.frequency_hz
@@ -175,10 +176,9 @@ def _density_around(t: Floats, residual: Floats, frequency_hz: float, span_s: fl
     return mean, mean * len(around_hz) / span_s
 
 
-def _butterworth(frequency_hz: float, cutoff_hz: float) -> tuple[float, float]:
-    """Gain and phase (rad, negative) of ``1 / (1 + sqrt(2) s/w + (s/w)^2)``; cutoff 0 is no filter."""
+def _response(frequency_hz: float, cutoff_hz: float) -> tuple[float, float]:
+    """Gain and phase (rad, negative) of the sensor's filter; cutoff 0 is none."""
     if cutoff_hz <= 0.0:
         return 1.0, 0.0
-    s = 1j * frequency_hz / cutoff_hz
-    response = 1.0 / (1.0 + np.sqrt(2.0) * s + s**2)
+    response = Butterworth2(cutoff_hz).response(np.array([frequency_hz]))[0]
     return float(np.abs(response)), float(np.angle(response))
