@@ -20,6 +20,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, expect, log_likelihood
+from companion.units import MAD_TO_SIGMA
 
 _MARGIN = 1.0  # nats by which a peak must exceed the strongest of so many trials by chance (choice)
 _APART_S = 0.15  # chosen: two kicks nearer than most of a period at 5 Hz are proposed as one
@@ -177,7 +178,7 @@ def _impulses(models: Sequence[FlightModel], fitted: FlightFit) -> Proposal | No
     for model, expectation in zip(models, fitted.state.expectations, strict=True):
         force = model.force_score(expectation)[:2]
         inner = slice(len(model.observations.t_s) // 16, -len(model.observations.t_s) // 16)
-        typical = np.median(np.abs(force[:, inner]), axis=1, keepdims=True) / 0.6745
+        typical = MAD_TO_SIGMA * np.median(np.abs(force[:, inner]), axis=1, keepdims=True)
         t_s.append(model.observations.t_s[inner])
         strength.append(np.sum((force / typical)[:, inner] ** 2, axis=0))
     at_s, power = np.concatenate(t_s), np.concatenate(strength)
