@@ -67,9 +67,11 @@ static double median_residual(const double *residual, int64_t count, int64_t i)
     return 0.5 * (around[(length - 1) / 2] + around[length / 2]);
 }
 
-static void find_in_channel(const int64_t *t_ns, double *series, int64_t count, int64_t first, double noise_sigma,
-                            double period_ns, double *residual, uint8_t *out)
+/* Mark the outliers of one channel, `stride` apart in `out`; how many there are. */
+static int64_t find_in_channel(const int64_t *t_ns, double *series, int64_t count, int64_t first, double noise_sigma,
+                               double period_ns, double *residual, uint8_t *out, int64_t stride)
 {
+    int64_t found = 0;
     double largest = 0.0;
     for (int64_t i = most_of(first - WINDOW, 2); i < count - 2; i++) {
         residual[i] = fabs(residual_of(t_ns, series, i, period_ns));
@@ -77,36 +79,39 @@ static void find_in_channel(const int64_t *t_ns, double *series, int64_t count, 
             largest = most(largest, residual[i]);
     }
     if (largest <= NOISE_SIGMAS * noise_sigma)
-        return;
+        return 0;
     for (int64_t i = most_of(first, NEIGHBOURS); i < count - NEIGHBOURS; i++)
         if (residual[i] > NOISE_SIGMAS * noise_sigma && isolated(t_ns, series, i, residual[i], period_ns) &&
-            residual[i] > MEDIAN_SIGMAS * SIGMAS_PER_MEDIAN * median_residual(residual, count, i))
-            out[i] = 1;
+            residual[i] > MEDIAN_SIGMAS * SIGMAS_PER_MEDIAN * median_residual(residual, count, i)) {
+            out[i * stride] = 1;
+            found++;
+        }
+    return found;
 }
 
-/* Mark the outliers of a stream (s, channels) from sample `first` on; how many there are. */
+/* Mark the outliers among the values (s, channels) of a stream from sample `first` on; how many there are. */
 EXPORT int64_t stream_outliers(const array *t_in, const array *values_in, int64_t first, const array *sigma_in,
                                double period_ns, const array *out_in)
 {
     bool good = true;
     const int64_t *t_ns = integers(t_in, 1, &good);
     const double *values = reals(values_in, 2, &good), *noise_sigma = reals(sigma_in, 1, &good);
-    uint8_t *out = truths(out_in, 1, &good);
+    uint8_t *out = truths(out_in, 2, &good);
     int64_t count = extent(t_in, 0), channels = extent(values_in, 1), found = 0;
-    if (!good || extent(values_in, 0) != count || extent(out_in, 0) < count || extent(sigma_in, 0) < channels)
+    if (!good || extent(values_in, 0) != count || extent(out_in, 0) != count || extent(out_in, 1) != channels ||
+        extent(sigma_in, 0) < channels)
         return BAD_ARRAY;
     double *series = malloc((size_t)(2 * count + 1) * sizeof *series), *residual = series + count;
     if (!series)
         return NO_MEMORY;
-    memset(out, 0, (size_t)count);
+    memset(out, 0, (size_t)(count * channels));
     memset(residual, 0, (size_t)count * sizeof *residual);
     for (int64_t channel = 0; channel < channels; channel++) {
         for (int64_t k = 0; k < count; k++)
             series[k] = values[k * channels + channel];
-        find_in_channel(t_ns, series, count, first, noise_sigma[channel], period_ns, residual, out);
+        found += find_in_channel(t_ns, series, count, first, noise_sigma[channel], period_ns, residual, out + channel,
+                                 channels);
     }
-    for (int64_t k = 0; k < count; k++)
-        found += out[k];
     free(series);
     return found;
 }

@@ -17,7 +17,7 @@ _MIN_GAP_PERIODS, _MAX_GAP_PERIODS = 0.2, 2.5  # chosen: a cubic through samples
 
 
 def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, period_ns: float) -> Bools:
-    """Outliers of a stream.
+    """Outliers of a stream, by channel.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, p
 
     Returns
     -------
-    (s,) bool
+    (s, channels) bool
     """
     count, channels = values.shape
-    out = np.zeros(count, np.bool_)
+    out = np.zeros((count, channels), np.bool_)
     residual = np.zeros(count)
     for channel in range(channels):
         series = np.ascontiguousarray(values[:, channel])
@@ -52,7 +52,7 @@ def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, p
             if residual[i] > _NOISE_SIGMAS * noise_sigma[channel] and _isolated(
                 t_ns, series, i, residual[i], period_ns
             ):
-                out[i] |= residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
+                out[i, channel] = residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
     return out
 
 
