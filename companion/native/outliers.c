@@ -10,6 +10,8 @@
 #define MEDIAN_SIGMAS 12.0       /* chosen: a lateral axis shows slope times force, whose tails are long */
 #define NEIGHBOUR_RATIO 0.3      /* chosen: residual of the neighbours over the sample's, once this is replaced */
 #define SPAN_RATIO 0.5           /* chosen: residual over the span of the neighbours; a smaller one is motion */
+#define MOST_TILT 0.2            /* chosen, rad: of a bent tip, whose lateral axis shows so much of a white vertical force */
+#define VERTICAL 2               /* channel (by definition) */
 #define WINDOW 16                /* chosen: samples on either side for the median residual */
 #define SIGMAS_PER_MEDIAN 1.4826 /* derived: standard deviation over the median magnitude of a Gaussian */
 #define MIN_GAP_PERIODS 0.2      /* chosen: a cubic through samples closer or farther says nothing */
@@ -30,6 +32,13 @@ static double residual_of(const int64_t *t_ns, const double *y, int64_t i, doubl
     double third = y[i + 1] * (a * b * d) / ((a - c) * (b - c) * (d - c));
     double last = y[i + 2] * (a * b * c) / ((a - d) * (b - d) * (c - d));
     return y[i] - (first + second + third + last);
+}
+
+/* Whether the sample's vertical force, which a tilted sensor feels in this channel too, explains its residual. */
+static bool explained(const int64_t *t_ns, const double *vertical, int64_t channel, int64_t i, double residual_here,
+                      double period_ns)
+{
+    return channel < VERTICAL && residual_here < MOST_TILT * fabs(residual_of(t_ns, vertical, i, period_ns));
 }
 
 /* Whether a sample stands clear of the span of its neighbours, and these fit once it is replaced. */
@@ -67,11 +76,10 @@ static double median_residual(const double *residual, int64_t count, int64_t i)
     return 0.5 * (around[(length - 1) / 2] + around[length / 2]);
 }
 
-/* Mark the outliers of one channel, `stride` apart in `out`; how many there are. */
-static int64_t find_in_channel(const int64_t *t_ns, double *series, int64_t count, int64_t first, double noise_sigma,
-                               double period_ns, double *residual, uint8_t *out, int64_t stride)
+static void find_in_channel(const int64_t *t_ns, double *series, const double *vertical, int64_t channel,
+                            int64_t count, int64_t first, double noise_sigma, double period_ns, double *residual,
+                            uint8_t *out)
 {
-    int64_t found = 0;
     double largest = 0.0;
     for (int64_t i = most_of(first - WINDOW, 2); i < count - 2; i++) {
         residual[i] = fabs(residual_of(t_ns, series, i, period_ns));
@@ -79,39 +87,40 @@ static int64_t find_in_channel(const int64_t *t_ns, double *series, int64_t coun
             largest = most(largest, residual[i]);
     }
     if (largest <= NOISE_SIGMAS * noise_sigma)
-        return 0;
+        return;
     for (int64_t i = most_of(first, NEIGHBOURS); i < count - NEIGHBOURS; i++)
         if (residual[i] > NOISE_SIGMAS * noise_sigma && isolated(t_ns, series, i, residual[i], period_ns) &&
-            residual[i] > MEDIAN_SIGMAS * SIGMAS_PER_MEDIAN * median_residual(residual, count, i)) {
-            out[i * stride] = 1;
-            found++;
-        }
-    return found;
+            !explained(t_ns, vertical, channel, i, residual[i], period_ns) &&
+            residual[i] > MEDIAN_SIGMAS * SIGMAS_PER_MEDIAN * median_residual(residual, count, i))
+            out[i] = 1;
 }
 
-/* Mark the outliers among the values (s, channels) of a stream from sample `first` on; how many there are. */
+/* Mark the outliers of a stream (s, channels) from sample `first` on; how many there are. */
 EXPORT int64_t stream_outliers(const array *t_in, const array *values_in, int64_t first, const array *sigma_in,
                                double period_ns, const array *out_in)
 {
     bool good = true;
     const int64_t *t_ns = integers(t_in, 1, &good);
     const double *values = reals(values_in, 2, &good), *noise_sigma = reals(sigma_in, 1, &good);
-    uint8_t *out = truths(out_in, 2, &good);
+    uint8_t *out = truths(out_in, 1, &good);
     int64_t count = extent(t_in, 0), channels = extent(values_in, 1), found = 0;
-    if (!good || extent(values_in, 0) != count || extent(out_in, 0) != count || extent(out_in, 1) != channels ||
-        extent(sigma_in, 0) < channels)
+    if (!good || extent(values_in, 0) != count || channels <= VERTICAL || extent(out_in, 0) < count || extent(sigma_in, 0) < channels)
         return BAD_ARRAY;
-    double *series = malloc((size_t)(2 * count + 1) * sizeof *series), *residual = series + count;
+    double *series = malloc((size_t)(3 * count + 1) * sizeof *series), *residual = series + count;
+    double *vertical = residual + count;
     if (!series)
         return NO_MEMORY;
-    memset(out, 0, (size_t)(count * channels));
+    memset(out, 0, (size_t)count);
     memset(residual, 0, (size_t)count * sizeof *residual);
+    for (int64_t k = 0; k < count; k++)
+        vertical[k] = values[k * channels + VERTICAL];
     for (int64_t channel = 0; channel < channels; channel++) {
         for (int64_t k = 0; k < count; k++)
             series[k] = values[k * channels + channel];
-        found += find_in_channel(t_ns, series, count, first, noise_sigma[channel], period_ns, residual, out + channel,
-                                 channels);
+        find_in_channel(t_ns, series, vertical, channel, count, first, noise_sigma[channel], period_ns, residual, out);
     }
+    for (int64_t k = 0; k < count; k++)
+        found += out[k];
     free(series);
     return found;
 }

@@ -175,8 +175,8 @@ def _spoilt(kernel: Callable[..., Any], ratio: float) -> Callable[..., Any]:
 def _wrong(value: Any, ratio: float) -> Any:
     if isinstance(value, np.ndarray) and value.dtype == np.int64:
         return value + round(1e9 * ratio)
-    if isinstance(value, np.ndarray) and value.dtype == np.bool_:
-        return value ^ (np.arange(value.size) == value.size // 2).reshape(value.shape)
+    if isinstance(value, np.ndarray) and value.dtype == np.bool_ and value.ndim == 1:
+        return value ^ (np.arange(len(value)) == len(value) // 2)
     if isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype == np.float64):
         return value * (1.0 + ratio)
     if hasattr(value, "_fields"):

@@ -26,8 +26,7 @@ def _swing(vibration_mps2: float = 0.0) -> np.ndarray:
 
 
 def _judged(values: np.ndarray) -> np.ndarray:
-    """Numbers of sample and channel, (outliers, 2)."""
-    return np.argwhere(find_outliers(T_NS, values, 0, np.full(6, 1.4 * NOISE), float(MS)))
+    return np.flatnonzero(find_outliers(T_NS, values, 0, np.full(6, 1.4 * NOISE), float(MS)))
 
 
 @given(
@@ -38,7 +37,7 @@ def _judged(values: np.ndarray) -> np.ndarray:
 def test_a_sample_that_lies_is_told_and_no_other(at: int, channel: int, lie_mps2: float) -> None:
     values = _swing()
     values[at, channel] += lie_mps2
-    assert _judged(values).tolist() == [[at, channel]]
+    assert _judged(values).tolist() == [at]
 
 
 @pytest.mark.parametrize("vibration_mps2", [0.0, 1.0, 30.0])
@@ -46,13 +45,18 @@ def test_noise_and_vibration_are_no_lapse(vibration_mps2: float) -> None:
     assert not len(_judged(_swing(vibration_mps2)))
 
 
-def test_slope_times_force_is_seldom_taken_for_a_lapse() -> None:
-    """A lateral axis shows white force times a swinging slope: its tails are longer than the noise around them."""
+def test_slope_times_force_is_no_lapse() -> None:
+    """A lateral axis shows white force times a swinging slope: its tails are longer than the noise around them.
+
+    With such samples, one in 10,000, went their vertical force: means of 4 ms were up to 45 m/s^2 wrong.
+    """
     rng = np.random.default_rng(7)
-    t_ns = MS * np.arange(40_000, dtype=np.int64)
+    t_ns = MS * np.arange(200_000, dtype=np.int64)
     values = NOISE * rng.standard_normal((len(t_ns), 6))
-    values[:, 1] += 0.15 * np.sin(2 * np.pi * 10.0 * 1e-9 * t_ns) * rng.standard_normal(len(t_ns))
-    assert np.count_nonzero(find_outliers(t_ns, values, 0, np.full(6, 1.4 * NOISE), float(MS))) <= 2
+    force = 15.0 * rng.standard_normal(len(t_ns))
+    values[:, 2] += force
+    values[:, 1] += 0.01 * np.sin(2 * np.pi * 20.0 * 1e-9 * t_ns) * force
+    assert not np.count_nonzero(find_outliers(t_ns, values, 0, np.full(6, 1.4 * NOISE), float(MS)))
 
 
 @pytest.mark.parametrize("length_s", [0.005, 0.02])
@@ -87,21 +91,6 @@ def test_a_stream_refuses_the_lapse_as_soon_as_it_has_its_neighbours_and_says_so
     young = SampleBuffer(LEFT)
     young.add(_batch(T_NS[:62], lying[:62]), -1)
     np.testing.assert_allclose(young.average(edges[:9]).mean, clean.average(edges[:9]).mean, atol=1e-9)
-
-
-def test_a_lateral_lapse_leaves_the_vertical_force_of_its_sample() -> None:
-    """In a white gust one of four samples without which a mean is wrong by a quarter of its force, 45 m/s^2 once."""
-    clean, struck = SampleBuffer(LEFT), SampleBuffer(LEFT)
-    values = _swing()
-    values[:, 2] += 30.0 * np.random.default_rng(5).standard_normal(COUNT)
-    lying = values.copy()
-    lying[60, 1] += 5.0
-    clean.add(_batch(T_NS, values), -1)
-    struck.add(_batch(T_NS, lying), -1)
-    edges = 4 * MS * np.arange(5, 25, dtype=np.int64)
-    means, struck_means = clean.average(edges).mean, struck.average(edges).mean
-    np.testing.assert_array_equal(struck_means[:, 2], means[:, 2])
-    np.testing.assert_allclose(struck_means[:, 1], means[:, 1], atol=0.05)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))

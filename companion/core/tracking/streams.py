@@ -21,7 +21,7 @@ from companion.core.tracking.line_removal import (
     take_over,
 )
 from companion.core.tracking.line_search import SampleRing
-from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers, without_outliers
+from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
 from companion.core.tracking.standstill import Standstill
 from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
 from companion.params.airframe import Sensor
@@ -262,7 +262,7 @@ class SampleBuffer:
         self._needed_ns = before_ns
 
     def _merge_waiting(self) -> None:
-        """Sort the queued samples into the stream and replace outliers."""
+        """Sort the queued samples into the stream and remove outliers."""
         if not self._waiting:
             return
         t, values = self._waiting[0]
@@ -276,10 +276,10 @@ class SampleBuffer:
             t, values = _sorted(t, values)
             t, values, _ = _appended(t[:0], values[:0], t, values, self._period_ns, self._needed_ns)
         self.t_ns, self.values = t, values
-        self._replace_outliers(min(oldest_ns, self._checked_ns + 1))
+        self._drop_outliers(min(oldest_ns, self._checked_ns + 1))
 
-    def _replace_outliers(self, from_ns: int) -> None:
-        """Replace outliers from an instant on, as far as their neighbours are known."""
+    def _drop_outliers(self, from_ns: int) -> None:
+        """Remove outliers from an instant on, as far as their neighbours are known."""
         t_ns = self.t_ns
         if len(t_ns) <= 2 * NEIGHBOURS:
             return
@@ -287,9 +287,9 @@ class SampleBuffer:
             t_ns, self.values, int(t_ns.searchsorted(from_ns)), self._noise_sigma, float(self._period_ns)
         )
         self._checked_ns = int(t_ns[-1 - NEIGHBOURS])
-        if count := int(np.count_nonzero(outliers.any(axis=1))):
+        if count := int(np.count_nonzero(outliers)):
             self._unreported_outliers += count
-            self.t_ns, self.values = without_outliers(t_ns, self.values, outliers)
+            self.t_ns, self.values = t_ns[~outliers], self.values[~outliers]
 
     def average(self, edges_ns: Ints) -> EpochAverages:
         """Averages over the epochs between consecutive, equally spaced edges, (n + 1,)."""

@@ -11,13 +11,15 @@ _NOISE_SIGMAS = 8.0  # chosen: of the sensor's noise; Gaussian noise exceeds it 
 _MEDIAN_SIGMAS = 12.0  # chosen: a lateral axis shows slope times force, whose tails are long
 _NEIGHBOUR_RATIO = 0.3  # chosen: residual of the neighbours over the sample's, once this is replaced
 _SPAN_RATIO = 0.5  # chosen: residual over the span of the neighbours; a smaller one is motion
+_MOST_TILT = 0.2  # chosen, rad: of a bent tip, whose lateral axis shows so much of a white vertical force
+_VERTICAL = 2  # channel (by definition)
 _WINDOW = 16  # chosen: samples on either side for the median residual
 _SIGMAS_PER_MEDIAN = 1.4826  # derived: standard deviation over the median magnitude of a Gaussian
 _MIN_GAP_PERIODS, _MAX_GAP_PERIODS = 0.2, 2.5  # chosen: a cubic through samples farther or closer says nothing
 
 
 def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, period_ns: float) -> Bools:
-    """Outliers of a stream, by channel.
+    """Outliers of a stream.
 
     Parameters
     ----------
@@ -34,10 +36,10 @@ def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, p
 
     Returns
     -------
-    (s, channels) bool
+    (s,) bool
     """
     count, channels = values.shape
-    out = np.zeros((count, channels), np.bool_)
+    out = np.zeros(count, np.bool_)
     residual = np.zeros(count)
     for channel in range(channels):
         series = np.ascontiguousarray(values[:, channel])
@@ -52,7 +54,10 @@ def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, p
             if residual[i] > _NOISE_SIGMAS * noise_sigma[channel] and _isolated(
                 t_ns, series, i, residual[i], period_ns
             ):
-                out[i, channel] = residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
+                tilted = np.abs(_interpolation_residual(t_ns, values[:, _VERTICAL], i, period_ns))
+                if channel < _VERTICAL and residual[i] < _MOST_TILT * tilted:
+                    continue
+                out[i] |= residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
     return out
 
 
