@@ -16,7 +16,7 @@ from sitl_tests.fuzz.runner import TooSlow, fuzz, make_case
 from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.fuzz.targets import NAMES, make_target
 
-CASES = {"decoder": 50, "flight": 2, "tlog": 30, "mcap": 30, "images": 100, "replay": 3, "doctor": 3}
+CASES = {"decoder": 50, "flight": 2, "tlog": 30, "mcap": 30, "images": 100, "replay": 6, "doctor": 6}
 USUAL_CASES = 60
 
 
