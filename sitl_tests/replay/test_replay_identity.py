@@ -182,7 +182,7 @@ def test_a_truncated_recording_replays_up_to_the_cut_and_says_so(
     assert 0.5 * output_count < result["compared"] < output_count
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 8))])
 def test_a_cut_anywhere_replays_as_published_up_to_the_cut_or_is_refused_in_a_sentence(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
 ) -> None:

@@ -254,7 +254,7 @@ def test_a_sweep_s_undriven_bins_do_not_draw_the_law_to_zero(ratio: float, withi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.01, 0.3])
+@pytest.mark.parametrize("ratio", [0.01, pytest.param(0.1, marks=pytest.mark.long), 0.3])
 def test_noise_of_the_response_draws_no_coefficient_to_zero(hardening: ForcedRecording, ratio: float) -> None:
     """With 30 % a stiffness of 0.3 instead of 1 and a cubic of 1.5 instead of 4 came out.
 

@@ -54,8 +54,8 @@ def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, p
             if residual[i] > _NOISE_SIGMAS * noise_sigma[channel] and _isolated(
                 t_ns, series, i, residual[i], period_ns
             ):
-                tilted = np.abs(_interpolation_residual(t_ns, values[:, _VERTICAL], i, period_ns))
-                if channel < _VERTICAL and residual[i] < _MOST_TILT * tilted:
+                vertical = np.abs(_interpolation_residual(t_ns, values[:, _VERTICAL], i, period_ns))
+                if channel < _VERTICAL and residual[i] < _MOST_TILT * vertical:
                     continue
                 out[i] |= residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
     return out
