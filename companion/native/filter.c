@@ -57,10 +57,15 @@ typedef struct {
     double gain;          /* what a unit of force adds to the row */
     double variance;      /* by accelerations that the measured sums do not tell apart */
     double blow_variance; /* the same by a blow, whose shares are not a gust's */
-    /* the force as it is expected without the measured acceleration, for the row that measures it, and its derivatives
-     * by that of this tip and of the other */
-    double expected, per_measured, per_other;
+    double per_measured, per_other; /* the force's derivatives by the measured acceleration of this tip and the other */
 } moving_tip;
+
+/* The same force as it is expected without the measured acceleration, for the row that measures that, its derivatives,
+ * and their linear form at the prediction. */
+typedef struct {
+    double force, per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS],
+        per_acceleration[MAX_RANKS], linear;
+} expected_force;
 
 /* What each rank of modes has in a tip's acceleration beyond the expected one, and in the other tip's. */
 typedef struct {
@@ -96,6 +101,7 @@ typedef struct {
 
     int64_t ranks;
     moving_tip tip[2];
+    expected_force expected[2];
     double beyond[2]; /* see beyond_expected */
     int64_t count, used[ROWS], position[ROWS];
     double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
@@ -231,6 +237,42 @@ static void find_instruments(const run *f, int64_t k, int side, rank_shares shar
     }
 }
 
+/* Lateral force of a moving tip (find_moving_tip) by the predicted state alone. */
+static expected_force find_expected_force(const run *f, int64_t k, int side)
+{
+    const double *lifts = f->linearised + MODES + side, *rates = lifts + 2, *accelerations = lifts + 4;
+    const double *K = f->shortening_pm + side * f->ranks * f->ranks;
+    double lowest = shortening_factor(f, f->constants->shortening_column);
+    double further = shortening_factor(f, f->constants->further_shortening_column);
+    double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
+    double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
+    double raised = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
+    expected_force of = {.force = 0.0};
+    for (int64_t i = 0; i < f->ranks; i++) {
+        int64_t a = i * EACH_RANK;
+        raised += lifts[a];
+        of.force += 2.0 * p * rates[a];
+        of.per_roll_rate += 2.0 * rates[a];
+        of.per_lift[i] += f->earlier_roll_radps2[k] + turning; /* an earlier p', as in find_moving_tip */
+        of.per_rate[i] += 2.0 * p;
+        for (int64_t j = 0; j < f->ranks; j++) {
+            int64_t b = j * EACH_RANK;
+            double shortening = (i || j ? further : lowest) * K[i * f->ranks + j];
+            of.force -= shortening * (lifts[a] * accelerations[b] + rates[a] * rates[b]);
+            of.per_lift[i] -= shortening * accelerations[b];
+            of.per_rate[i] -= 2.0 * shortening * rates[b];
+            of.per_acceleration[j] -= shortening * lifts[a];
+        }
+    }
+    of.force += (p_dot + turning) * raised;
+    of.per_roll_acceleration = raised;
+    of.linear = of.per_roll_rate * p + of.per_roll_acceleration * p_dot;
+    for (int64_t i = 0; i < f->ranks; i++)
+        of.linear += of.per_lift[i] * lifts[i * EACH_RANK] + of.per_rate[i] * rates[i * EACH_RANK] +
+                     of.per_acceleration[i] * accelerations[i * EACH_RANK];
+    return of;
+}
+
 /* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
  * wing's tip, which moves inboard by half of K w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
@@ -266,8 +308,6 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
             by_rate += shortening * rates[b];
             by_moment += shortening * inside[b];
             tip.per_acceleration[b] -= shortening * lift;
-            tip.expected -= factor * K[a * f->ranks + b] *
-                            (lift * expected[b * EACH_RANK] + start[a * EACH_RANK] * start[b * EACH_RANK]);
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
@@ -278,12 +318,10 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         tip.per_roll_acceleration += lift;
         inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
-        tip.expected += across * lift + 2.0 * p * start[a * EACH_RANK];
         linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
     double height = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
     tip.force += across * height;
-    tip.expected += across * height;
     tip.per_roll_acceleration += height;
     /* half a step of each is in its rate */
     for (int64_t b = 0; b < f->ranks; b++) {
@@ -349,6 +387,25 @@ static void add_turning_tip(const run *f, int64_t k, int side, double *out)
     add_scaled(out, rows + ROLL_RATE * n, 2.0 * f->linearised[ROLL_RATE] * lift_of_tip(f, side), n);
 }
 
+/* Add what a tilted tip shows of its expected lateral force to a vertical row (n + 1,). */
+static void add_tilted_force(const run *f, int64_t k, int side, double *out)
+{
+    const expected_force *of = &f->expected[side];
+    const double *rows = f->linearisation_rows, sign = 1.0 - 2.0 * side, gain = -sign * f->linearised[SLOPES + side];
+    int64_t n = f->h.n + 1;
+    double lateral = f->lateral_mps2[2 * k + side] + sign * of->force;
+    add_scaled(out, rows + (SLOPES + side) * n, -(f->vertical_mps2[2 * k + side] * f->linearised[SLOPES + side] + lateral),
+               n);
+    add_scaled(out, rows + ROLL_RATE * n, gain * of->per_roll_rate, n);
+    add_scaled(out, rows + ROLL_ACCELERATION * n, gain * of->per_roll_acceleration, n);
+    for (int64_t a = 0; a < f->ranks; a++) {
+        const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
+        add_scaled(out, lift, gain * of->per_lift[a], n);
+        add_scaled(out, lift + 2 * n, gain * of->per_rate[a], n);
+        add_scaled(out, lift + 4 * n, gain * of->per_acceleration[a], n);
+    }
+}
+
 /* H of the used rows, with the tip's tilt linearised at the predicted state: through the tilt gravity shows slow
  * bending. */
 static void linearise_rows(run *f, int64_t k)
@@ -359,13 +416,10 @@ static void linearise_rows(run *f, int64_t k)
     for (int side = 0; side < 2; side++) {
         int64_t r = f->position[Z_LEFT + side], bias = f->lateral_bias_state[side];
         double vertical = f->vertical_mps2[2 * k + side];
-        if (r >= 0)
-            add_scaled(f->H + r * n, f->linearisation_rows + side * n,
-                       -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side] +
-                         (1.0 - 2.0 * side) * f->tip[side].expected),
-                       n);
-        if (r >= 0)
+        if (r >= 0) {
+            add_tilted_force(f, k, side, f->H + r * n);
             add_turning_tip(f, k, side, f->H + r * n);
+        }
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
             if (bias >= 0)
@@ -462,9 +516,9 @@ static void find_innovation(run *f, int64_t k, double *out)
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
             out[r * width] += 2.0 * squared(f->linearised[ROLL_RATE]) * lift_of_tip(f, side);
-            out[r * width] -= 0.5 * vertical * slope * slope;
+            out[r * width] -= 0.5 * vertical * slope * slope + (1.0 - 2.0 * side) * slope * f->expected[side].linear;
             if (roll) /* of the lateral force the Jacobian has the rigid one: here is the rest */
-                out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope + f->tip[side].expected;
+                out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope + f->expected[side].force;
         }
         r = f->position[Y_LEFT + side];
         if (r >= 0) {
@@ -771,8 +825,10 @@ static bool step(run *f, int64_t k, int64_t slot)
     f->h.row_count[slot] = f->count;
     for (int side = 0; side < 2; side++)
         f->beyond[side] = beyond_expected(f, k, side);
-    for (int side = 0; side < 2; side++)
+    for (int side = 0; side < 2; side++) {
+        f->expected[side] = find_expected_force(f, k, side);
         f->tip[side] = find_moving_tip(f, k, side);
+    }
     linearise_rows(f, k);
     find_innovation(f, k, innovation);
     project_covariance(f);

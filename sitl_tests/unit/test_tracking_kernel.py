@@ -253,6 +253,35 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
             assert -quotient == pytest.approx(H[:, i] + left_out, rel=0.1)
 
 
+def test_the_vertical_row_is_linear_in_a_state_that_bends_the_wing_far() -> None:
+    """A tilted tip shows its lateral force, which the lift makes too: difference quotients by every state.
+
+    At 0.1 m of lift this is as large as what the tilt shows of the vertical force.
+    """
+    kalman = _filter()
+    _, model, _, _ = _kernel_arguments(kalman)
+    epochs, layout = _epochs(kalman, 0.0), kalman.layout
+    epochs = epochs._replace(rows=0.1 * epochs.rows, earlier_roll_radps2=np.full(STEPS, 2.0))
+    state = np.zeros(layout.size + 1)
+    state[layout.roll_rate], state[layout.roll_accel] = 0.5, 2.0
+    state[layout.symmetric.q], state[layout.antisymmetric.q] = 0.1, -0.04
+    state[layout.symmetric.v], state[layout.antisymmetric.v] = 1.5, 2.0
+
+    def linearised(at: Floats) -> tuple[Floats, Floats]:
+        """Innovations of both vertical rows, and their derivative by the state with its sign turned."""
+        residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
+        residual[:, 0] = epochs.rows[5]
+        kernel_numpy._linearise(kalman._constants, model, epochs, 5, at, _believed(kalman), residual, H)
+        return (residual[:, 0] - H @ at)[Z_LEFT : Z_LEFT + 2], H[Z_LEFT : Z_LEFT + 2]
+
+    _, H = linearised(state)
+    for i in range(layout.size):
+        step = np.zeros(layout.size + 1)
+        step[i] = 1e-6
+        quotient = (linearised(state + step)[0] - linearised(state - step)[0]) / 2e-6
+        assert -quotient == pytest.approx(H[:, i], rel=1e-6, abs=1e-6), f"state {i}"
+
+
 def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
     """Difference quotients of both slope rows by K of the lowest modes, and by all of K that further modes have in."""
     kalman = _filter()

@@ -229,7 +229,8 @@ def _linearise(
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
     tips = [_moving_tip(const, model, epochs, k, side, state, one_and_bias) for side in (0, 1)]
-    force = np.array([tip.expected_mps2 for tip in tips])
+    expected = [_expected_force(const, model, epochs, k, side, state, one_and_bias) for side in (0, 1)]
+    force, by_state = (np.array(each) for each in zip(*expected, strict=True))
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
         if column:  # of the lateral force the Jacobian has the rigid one: here is the rest
             rest = (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side] + force[side]
@@ -260,6 +261,9 @@ def _linearise(
             H[Y_LEFT + side, const.vertical_bias_state] -= per_bias * const.bias_projection[side]
     lateral = epochs.lateral_mps2[k] + np.array([1.0, -1.0]) * force
     H[up] -= (vertical_mps2 * slope + lateral)[:, None] * model.linearisation_rows[:2]
+    tilted = np.array([1.0, -1.0]) * slope
+    H[up] -= tilted[:, None] * by_state
+    residual_columns[up, 0] -= tilted * (by_state @ state)
     lift_rows, p = _lift_rows(const, model), float(linearised[4])
     H[up] += _turn_squared(epochs, k, p) * lift_rows + 2.0 * p * np.outer(
         lift_rows @ state, model.linearisation_rows[4]
@@ -304,7 +308,6 @@ class _MovingTip(NamedTuple):
     variance_mps2_2: float
     blow_variance_mps2_2: float
     per_measured: float
-    expected_mps2: float
     by_acceleration: Floats
     by_force: float
 
@@ -330,11 +333,10 @@ def _moving_tip(
     slope = float(linearised[side])
     by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
     turning = p_dot + by_gyros
-    shortening, step_s = const.shortening_pm[side] * factors, const.step_s
+    step_s = const.step_s
     height_column = int(const.height_column[side])
     height = float(one_and_bias[height_column]) if height_column else 0.0
     raised = lift.sum() + height
-    expected = 2.0 * p * rate.sum() + turning * raised - lift @ shortening @ accel - rate @ shortening @ rate
     of_this, of_other, covariance = _rank_shares(model, epochs.present[k, Z_LEFT : Z_LEFT + 2], side)
     beyond = [_beyond_expected(const, model, epochs, k, tip, state) for tip in (side, 1 - side)]
     accel = accel + of_this * beyond[0] + of_other * beyond[1]
@@ -374,10 +376,27 @@ def _moving_tip(
         variance,
         blow_variance,
         per_measured + per_other,
-        expected,
         gain * np.array([per_measured, per_other]),
         gain * force,
     )
+
+
+def _expected_force(
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats, one_and_bias: Floats
+) -> tuple[float, Floats]:
+    """Lateral force of a moving tip by the predicted state alone, and its derivatives by that (n + 1,)."""
+    rows, end = model.linearisation_rows, 6 + 6 * const.shortening_pm.shape[1]
+    lift_rows, rate_rows, accel_rows = (rows[first + side : end : 6] for first in (6, 8, 10))
+    lift, rate, accel = lift_rows @ state, rate_rows @ state, accel_rows @ state
+    p, p_dot = rows[4:6] @ state
+    K = const.shortening_pm[side] * _shortening_factors(const, one_and_bias)
+    by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
+    height_column = int(const.height_column[side])
+    raised = lift.sum() + (one_and_bias[height_column] if height_column else 0.0)
+    force = 2.0 * p * rate.sum() + (p_dot + by_gyros) * raised - lift @ K @ accel - rate @ K @ rate
+    by_state = (epochs.earlier_roll_radps2[k] + by_gyros - K @ accel) @ lift_rows
+    by_state = by_state + 2.0 * (p - K @ rate) @ rate_rows - (lift @ K) @ accel_rows
+    return float(force), by_state + 2.0 * rate.sum() * rows[4] + raised * rows[5]
 
 
 def _rank_shares(model: DiscreteModel, measured: Bools, side: int) -> tuple[Floats, Floats, Floats]:
