@@ -16,9 +16,10 @@ from companion.core.tracking.rigid_body import _RootNoise, build_epochs
 from companion.core.tracking.sample_outliers import find_outliers
 from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.core.tracking.states import make_layout
-from companion.core.tracking.streams import StreamSamples, averages
+from companion.core.tracking.streams import StreamSamples
 from companion.params.files import load_airframe
 from companion.records import Floats, Ints
+from sitl_tests.native.averaging import averages
 from sitl_tests.reference.kernels import outliers as plain_outliers
 from sitl_tests.reference.kernels import rigid_body as plain_rigid_body
 from sitl_tests.reference.kernels import streams as plain

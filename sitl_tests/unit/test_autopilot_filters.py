@@ -19,6 +19,7 @@ from companion.core.tracking.streams import SampleBuffer
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, Notice, RawChunk, Station
+from sitl_tests.native.averaging import averages_of
 
 RATE_HZ, BACKEND_HZ = 1000.0 / 3.0, 2000.0
 CELL_NS = 4_000_000
@@ -89,7 +90,7 @@ def test_the_low_pass_is_undone_in_gain_and_phase_over_the_band(frequency_hz: fl
     stream.add(batch(t_ns, y, y), -1)
     edges = 1_000_000_000 + CELL_NS * np.arange(501, dtype=np.int64)
     middle_s = (edges[:-1] + CELL_NS // 2) * 1e-9
-    mean = stream.average(edges).mean
+    mean = averages_of(stream, edges).mean
     truth = np.sinc(frequency_hz * CELL_NS * 1e-9)  # what averaging over a cell leaves
     for column in (2, 3):
         response = phasor(middle_s, mean[:, column], frequency_hz) / truth

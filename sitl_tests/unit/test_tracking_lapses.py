@@ -11,6 +11,7 @@ from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
 from companion.core.tracking.streams import SampleBuffer, within_range
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Reject, Station
+from sitl_tests.native.averaging import averages_of
 
 LEFT = load_airframe("nadir-2m").left
 MS, COUNT = 1_000_000, 120
@@ -92,11 +93,11 @@ def test_a_stream_refuses_the_lapse_as_soon_as_it_has_its_neighbours_and_says_so
         assert [(r.reason, r.count) for r in refused] == ([] if stream is clean else [(Reject.LAPSED, 1)])
     assert len(struck.samples()[0]) == COUNT - 1
     edges = 4 * MS * np.arange(5, 25, dtype=np.int64)
-    np.testing.assert_allclose(struck.average(edges).mean, clean.average(edges).mean, atol=0.05)
+    np.testing.assert_allclose(averages_of(struck, edges).mean, averages_of(clean, edges).mean, atol=0.05)
     # nobody knows yet whether the newest samples lie: epochs that can do without them do
     young = SampleBuffer(LEFT)
     young.add(_batch(T_NS[:62], lying[:62]), -1)
-    np.testing.assert_allclose(young.average(edges[:9]).mean, clean.average(edges[:9]).mean, atol=1e-9)
+    np.testing.assert_allclose(averages_of(young, edges[:9]).mean, averages_of(clean, edges[:9]).mean, atol=1e-9)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from companion.core.tracking.streams import SampleBuffer
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Reject, Station
+from sitl_tests.native.averaging import averages_of
 
 LEFT = load_airframe("nadir-2m").left
 SECOND = 1_000_000_000
@@ -45,7 +46,7 @@ def test_the_order_of_arrival_does_not_matter(order: list[int]) -> None:
     straight.add(_batch(t), 0)
     for chunk in order:
         shuffled.add(_batch(t[chunk * 25 : chunk * 25 + 25]), 0)
-    a, b = straight.average(_edges()), shuffled.average(_edges())
+    a, b = averages_of(straight, _edges()), averages_of(shuffled, _edges())
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.covered, b.covered)
 
@@ -56,14 +57,14 @@ def test_equal_stamps_are_averaged() -> None:
     values = np.ones((len(t), 6))
     values[::2] = 3.0
     stream.add(_batch(t, values), 0)
-    np.testing.assert_allclose(stream.average(_edges()).mean, 2.0)
+    np.testing.assert_allclose(averages_of(stream, _edges()).mean, 2.0)
 
 
 def test_a_gap_uncovers_the_cells_that_touch_it_and_no_others() -> None:
     stream = SampleBuffer(LEFT)
     t = np.arange(0.5, 200.0)
     stream.add(_batch(t[(t < 80) | (t > 110)]), 0)
-    covered = stream.average(_edges()).covered
+    covered = averages_of(stream, _edges()).covered
     starts = (_edges()[:-1] - SECOND) / 1e6
     assert not covered[(starts >= 80) & (starts < 108)].any()
     assert covered[(starts < 76) | (starts >= 112)].all()
@@ -76,13 +77,13 @@ def test_a_few_lost_samples_are_bridged() -> None:
     w = 2 * np.pi * 5e-3
     stream.add(_batch(t[keep], np.repeat(np.sin(w * t[keep])[:, None], 6, axis=1)), 0)
     middle = (0.5 * (_edges()[1:] + _edges()[:-1]) - SECOND) / 1e6
-    np.testing.assert_allclose(stream.average(_edges()).mean[:, 0], np.sin(w * middle), atol=4e-3)
+    np.testing.assert_allclose(averages_of(stream, _edges()).mean[:, 0], np.sin(w * middle), atol=4e-3)
 
 
 def test_a_slow_stream_makes_no_moment() -> None:
     slow = SampleBuffer(dataclasses.replace(LEFT, rate_hz=333.0))
     slow.add(_batch(np.arange(0.0, 200.0, 3.0)), 0)
-    assert not slow.average(_edges()).resolved.any()
+    assert not averages_of(slow, _edges()).resolved.any()
 
 
 def test_views_and_read_only_arrays_are_taken_like_any_other() -> None:
@@ -97,7 +98,7 @@ def test_views_and_read_only_arrays_are_taken_like_any_other() -> None:
     strided.add(dataclasses.replace(batch, t_ns=np.repeat(batch.t_ns, 2)[::2], values=table[:, 1:7]), 0)
     frozen.add(dataclasses.replace(batch, values=values), 0)
     for other in (strided, frozen):
-        np.testing.assert_array_equal(other.average(_edges()).mean, plain.average(_edges()).mean)
+        np.testing.assert_array_equal(averages_of(other, _edges()).mean, averages_of(plain, _edges()).mean)
 
 
 def _sent_on(

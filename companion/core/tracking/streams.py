@@ -1,4 +1,4 @@
-"""One inertial stream: samples in order, refusals counted, averages over epochs."""
+"""One inertial stream: samples in order, refusals counted."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from companion.core.tracking.line_removal import (
 from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
 from companion.core.tracking.standstill import Standstill
-from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
+from companion.native.library import ARRAY, INTEGER, REAL, kernel
 from companion.params.airframe import Sensor
-from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
+from companion.records import Axis, Floats, ImuBatch, Ints, Reject, Rejected
 
 CHANNELS = 6  # specific force x y z, rate p q r (by definition)
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
@@ -84,29 +84,6 @@ class StreamSamples(NamedTuple):
     rate_hz: float
     cutoff_hz: Floats
     filtered: bool
-
-
-class EpochAverages(NamedTuple):
-    """Averages of a stream over consecutive epochs; zero where not covered.
-
-    Attributes
-    ----------
-    mean : (n, 6) float64
-    moment : (n,) float64
-        First moment of the vertical axis, ``integral (t - middle) z dt / h^2``.
-    aliasing_noise : (n,) float64
-        By edges that cut samples (0 where they fall between two, 1 on average) and by lost samples.
-    covered : (n,) bool
-        There are samples.
-    resolved : (n,) bool
-        There are enough for a moment, and none was lost.
-    """
-
-    mean: Floats
-    moment: Floats
-    aliasing_noise: Floats
-    covered: Bools
-    resolved: Bools
 
 
 @dataclass(slots=True)
@@ -291,10 +268,6 @@ class SampleBuffer:
             self._unreported_outliers += count
             self.t_ns, self.values = t_ns[~outliers], self.values[~outliers]
 
-    def average(self, edges_ns: Ints) -> EpochAverages:
-        """Averages over the epochs between consecutive, equally spaced edges, (n + 1,)."""
-        return averages(self.plain(int(edges_ns[-1])), edges_ns)
-
     def plain(self, until_ns: int) -> StreamSamples:
         """Samples as plain arrays; those not yet tested for outliers only where no others reach ``until_ns``."""
         self._merge_waiting()
@@ -371,28 +344,3 @@ def _sorted(t_ns: Ints, values: Floats) -> tuple[Ints, Floats]:
     group = np.cumsum(fresh) - 1
     summed = np.stack([np.bincount(group, column) for column in values.T], axis=1)
     return t_ns[fresh], summed / np.bincount(group)[:, None]
-
-
-_pack_samples, _pack_averages = packed(StreamSamples), packed(EpochAverages)
-_averages = kernel("stream_averages", RECORD, ARRAY, RECORD)
-
-
-def averages(samples: StreamSamples, edges_ns: Ints) -> EpochAverages:
-    """Averages of a stream over epochs.
-
-    Parameters
-    ----------
-    samples : StreamSamples
-        Of one station.
-    edges_ns : (n + 1,) int64
-        Equally spaced.
-
-    Returns
-    -------
-    EpochAverages
-    """
-    n = len(edges_ns) - 1
-    means = (np.empty((n, CHANNELS)), np.empty(n), np.empty(n))
-    out = EpochAverages(*means, np.empty(n, np.bool_), np.empty(n, np.bool_))
-    _averages(_pack_samples(samples), edges_ns, _pack_averages(out))
-    return out

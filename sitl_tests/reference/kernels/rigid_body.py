@@ -9,9 +9,10 @@ import numpy as np
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.rigid_body import _PADDING, BEFORE, _RootNoise
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
-from companion.core.tracking.streams import CHANNELS, EpochAverages, StreamSamples
+from companion.core.tracking.streams import CHANNELS, StreamSamples
 from companion.records import Bools, Floats, Ints
 from companion.units import GRAVITY_MPS2
+from sitl_tests.native.averaging import EpochAverages
 from sitl_tests.reference.kernels.error_jacobians import (
     SensedMotion,
     central_difference,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.tracking.streams import CHANNELS, EpochAverages, StreamSamples
+from companion.core.tracking.streams import CHANNELS, StreamSamples
 from companion.records import Floats, Ints
+from sitl_tests.native.averaging import EpochAverages
 from sitl_tests.reference.kernels.resampling import (
     edge_aliasing,
     epoch_averages,
