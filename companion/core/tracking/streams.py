@@ -185,7 +185,9 @@ class SampleBuffer:
         t, values = plain(batch.t_ns), plain(batch.values)
         late = t <= oldest_ns
         infinite = ~np.isfinite(values).all(axis=1)
-        clipped, lost = self.clipping.count(values)
+        clipped, lost, earlier = self.clipping.count(values)
+        if earlier:
+            self._recall(int(t[0]) - round((earlier + 0.5) * self._period_ns))
         if lost.any():
             self.saturated_ns = max(int(t[lost].max()), self.saturated_ns or 0)
         usable = ~(late | infinite | lost)
@@ -197,6 +199,12 @@ class SampleBuffer:
             (Reject.TOO_LATE, late & ~infinite & ~clipped),
         )
         return [Rejected(why, _name(batch), batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
+
+    def _recall(self, from_ns: int) -> None:
+        """Drop samples from an instant on: they were held, and the run that they begin is too long for that."""
+        self._merge_waiting()
+        before = int(self.t_ns.searchsorted(from_ns))
+        self.t_ns, self.values = self.t_ns[:before], self.values[:before]
 
     def is_saturated(self, t_ns: int) -> bool:
         """Whether samples at its limits spoil the stream at an instant: a refused one lately, or too many."""
