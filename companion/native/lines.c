@@ -29,7 +29,8 @@ typedef struct {
 } complex_number;
 
 typedef struct {
-    const array *anchor_radps, *omega_radps, *alpha_radps2, *phase_rad, *ahead_rad, *shaft, *multiple, *amplitude, *error, *weight;
+    const array *anchor_radps, *omega_radps, *alpha_radps2, *phase_rad, *ahead_rad, *led, *shaft, *multiple, *amplitude,
+        *error, *weight;
     int64_t lag;
 } lines_record;
 
@@ -37,6 +38,7 @@ typedef struct {
     int64_t shafts, count, channels, lag;
     const double *anchor, *weight; /* of shafts, of channels */
     double *omega, *alpha, *phase, *ahead; /* of shafts */
+    const int64_t *led; /* of shafts */
     const int64_t *shaft, *multiple; /* of lines */
     double *error;
     complex_number *amplitude; /* (count, channels) */
@@ -142,7 +144,7 @@ static void clean_sample(lines *l, const int64_t *t_ns, const double *values, in
     }
     memcpy(out, here, (size_t)channels * sizeof *out);
     for (int64_t i = 0; i < (even ? l->shafts : 0); i++)
-        turn(l, i, least(most(l->turning[i] / l->power[i], -MAX_TURN_RAD), MAX_TURN_RAD), dt);
+        turn(l, i, l->led[i] ? 0.0 : least(most(l->turning[i] / l->power[i], -MAX_TURN_RAD), MAX_TURN_RAD), dt);
     for (int64_t j = 0; j < l->count; j++) {
         double calm = l->phase[l->shaft[j]] - l->ahead[l->shaft[j]], phase = (double)l->multiple[j] * calm;
         double cosine = cos(phase), sine = sin(phase);
@@ -161,6 +163,7 @@ static bool read_lines(const lines_record *record, lines *l)
     l->alpha = reals(record->alpha_radps2, 1, &good);
     l->phase = reals(record->phase_rad, 1, &good);
     l->ahead = reals(record->ahead_rad, 1, &good);
+    l->led = integers(record->led, 1, &good);
     l->shaft = integers(record->shaft, 1, &good);
     l->multiple = integers(record->multiple, 1, &good);
     l->amplitude = array_data(record->amplitude, 'D', 2, &good);
@@ -176,7 +179,7 @@ static bool read_lines(const lines_record *record, lines *l)
     for (int64_t j = 0; j < extent(record->shaft, 0); j++)
         good = good && l->shaft[j] >= 0 && l->shaft[j] < l->shafts;
     return good && extent(record->omega_radps, 0) == l->shafts && extent(record->alpha_radps2, 0) == l->shafts &&
-           extent(record->ahead_rad, 0) == l->shafts &&
+           extent(record->ahead_rad, 0) == l->shafts && extent(record->led, 0) == l->shafts &&
            extent(record->phase_rad, 0) == l->shafts && extent(record->shaft, 0) == l->count &&
            extent(record->multiple, 0) == l->count && extent(record->error, 0) == l->channels &&
            extent(record->weight, 0) == l->channels;

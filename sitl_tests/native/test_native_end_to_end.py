@@ -40,8 +40,8 @@ A_STEP = 1e-2
 """Of a fitted parameter, in its sigmas, should scoring take another step; 5e-8 was measured."""
 BY_FIT = 3e-2
 """Of a trusted range and of both its sigmas, where fits go on with those of numpy; 3e-4 and 2e-3 were measured."""
-BY_FIT_SIGMAS = 0.25
-"""Of any toe, in its sigmas, where fits go on with those of numpy: adds 6 % to a NEES; 0.12 was measured.
+BY_FIT_SIGMAS, BY_FIT_MEDIAN = 0.5, 0.01
+"""Of any toe and of half of them, in sigmas, where fits go on with those of numpy; 0.29 and 4e-5 were measured.
 
 The last bits of its data decide which of two minima a fit ends in, where both are about as deep. Its parameters then
 lie sigmas apart, and toes with them by a part of their sigma, until the data tell the minima apart.
@@ -146,7 +146,9 @@ def test_a_flight_whose_fits_are_numpys_too_has_the_same_toe_and_range() -> None
     outputs, calls = _by_numpy()
     assert set(calls) == set(PLACES), "every kernel had work"
     by_c, by_numpy = _ranges(_by_c()[0]), _ranges(outputs)
-    assert (np.abs(by_numpy - by_c)[:, 0] < BY_FIT_SIGMAS * by_c[:, 1]).all()
+    apart_sigmas = np.abs(by_numpy - by_c)[:, 0] / by_c[:, 1]
+    assert apart_sigmas.max() < BY_FIT_SIGMAS
+    assert np.median(apart_sigmas) < BY_FIT_MEDIAN
     trusted, too = _trusted(_by_c()[0]), _trusted(outputs)
     assert trusted.sum() > 10
     np.testing.assert_array_equal(too, trusted)

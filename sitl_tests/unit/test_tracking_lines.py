@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -333,6 +335,37 @@ def test_a_shaft_is_followed_while_the_throttle_is_closed_and_opened(gust_mps2: 
     assert list(known_lines.leader_hz) == [0], "the shaft that was found first"
     assert known_lines.leader_hz[0] == pytest.approx(65.0, abs=1.0)
     assert max(np.std(stretch) for stretch in clean[25:]) < 0.25 * np.std(line)
+
+
+def test_tips_that_gusts_shake_follow_the_shaft_that_the_root_holds() -> None:
+    """An engine slows from 92 to 40 Hz in 4.5 s and runs up again, and the tips' gusts hide it.
+
+    Left to themselves, their loops lost it, and it was dropped: the root of 333 Hz did not count.
+    """
+    t_ns, rng = stamps(16.0), np.random.default_rng(4)
+    t_s = t_ns * 1e-9
+    rpm_hz = np.interp(t_s, [0.0, 6.0, 10.5, 12.0, 15.0], [92.0, 92.0, 40.0, 40.0, 80.0])
+    line = np.cos(2.0 * np.pi * np.cumsum(rpm_hz) / RATE_HZ)
+    airframe = plain_airframe()
+    slow = dataclasses.replace(airframe.root, rate_hz=1000.0 / 3.0)
+    tracker = WingTracker(dataclasses.replace(airframe, root=slow), Settings(adapt=0))
+    gust_mps2 = np.where(t_s < 5.0, 0.1, 10.0) * rng.standard_normal((2, len(t_s)))
+    for first in range(0, len(t_ns), 60):
+        for station, amplitude_mps2 in ((Station.ROOT, 1.0), (Station.LEFT, 5.0), (Station.RIGHT, 4.0)):
+            span = slice(first, first + 60, 3 if station is Station.ROOT else 1)
+            values = rng.normal(size=(len(t_ns[span]), 6)) * np.repeat([NOISE_MPS2, 0.0011], 3)
+            values[:, 2] += amplitude_mps2 * line[span] - 9.80665
+            if station is not Station.ROOT:
+                values[:, 2] += gust_mps2[station - 1, span]
+            tracker.add(batch(station, EPOCH_NS + t_ns[span], values))
+        tracker.process_until(EPOCH_NS + int(t_ns[span][-1]))
+        if first % 1020 == 0 and first > 6_000:
+            followed = [stream.followed_shafts() for stream in tracker._streams]
+            assert [list(shafts) for shafts in followed] == [[0]] * 3, "the shaft that was found first"
+            frequency_hz, ratio = np.array([shafts[0] for shafts in followed]).T
+            assert ratio[0] > 1.0
+            assert min(ratio[1:]) < 1.0
+            assert frequency_hz == pytest.approx(rpm_hz[first], abs=3.0)
 
 
 def test_a_station_that_fell_silent_leads_no_shaft() -> None:

@@ -8,6 +8,8 @@ from companion.core.tracking.line_search import MIN_RATE_HZ, SILENT_NS, KnownLin
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
 
+_CLEAR_OF_NYQUIST = 0.35  # chosen, of the sample rate: at 333 Hz shafts of 7,000 rpm
+
 
 class LineFollowing:
     """Search for lines in the samples of some streams, and their removal from these."""
@@ -49,17 +51,32 @@ class LineFollowing:
             stream.anchor_lines(self._lines.leader_hz)
         return new
 
-    def _followed_shafts(self) -> dict[int, tuple[float, float]]:
-        """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most.
+    def share_turn(self) -> None:
+        """Turn loops out of lock as the one that holds the same shaft best: its line turns alike at every station.
 
-        A stream too slow to be searched does not count: a leader near its Nyquist frequency looks locked to anything.
-        Nor does one that is silent: it keeps the frequency that it saw last.
+        A tip that gusts shake, or whose peaks are clipped, loses a shaft that changes its speed; the root holds it.
         """
-        followed: dict[int, tuple[float, float]] = {}
+        for number, (best, _) in self._best_followed().items():
+            for stream in self._streams:
+                stream.turn_with(best, number)
+
+    def _followed_shafts(self) -> dict[int, tuple[float, float]]:
+        """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most."""
+        return {number: leader for number, (_, leader) in self._best_followed().items()}
+
+    def _best_followed(self) -> dict[int, tuple[SampleBuffer, tuple[float, float]]]:
+        """The stream in which each shaft's leader has most power over the rest, its frequency there (Hz), that ratio.
+
+        A leader near the Nyquist frequency of a slow stream does not count: it looks locked to anything. Nor does a
+        stream that is silent: it keeps the frequency that it saw last.
+        """
+        best: dict[int, tuple[SampleBuffer, tuple[float, float]]] = {}
         newest_ns = max((stream.newest_ns or 0 for stream in self._streams), default=0)
         for stream in self._streams:
-            if stream.sensor.rate_hz < MIN_RATE_HZ or stream.is_silent(newest_ns - SILENT_NS):
-                continue
-            for number, leader in stream.followed_shafts().items():
-                followed[number] = max(followed.get(number, leader), leader, key=lambda each: each[1])
-        return followed
+            rate_hz = stream.sensor.rate_hz
+            most_hz = rate_hz if rate_hz >= MIN_RATE_HZ else _CLEAR_OF_NYQUIST * rate_hz
+            followed = {} if stream.is_silent(newest_ns - SILENT_NS) else stream.followed_shafts()
+            for number, leader in followed.items():
+                if leader[0] < most_hz and (number not in best or leader[1] > best[number][1][1]):
+                    best[number] = stream, leader
+        return best

@@ -56,6 +56,8 @@ class LineStates(NamedTuple):
     anchor_radps, omega_radps, alpha_radps2, phase_rad, ahead_rad : (s,) float64
         Each shaft's: a twelfth of its leader's frequency as found in the spectrum and as followed, its rate, the
         phase at the newest sample, and how far this is ahead of the calmer one that lines are subtracted with.
+    led : (s,) int64
+        Whether each shaft turns as another station's loop does (1), and is not turned by this one's samples.
     shaft, multiple : (l,) int64
         Each line's: index of its shaft, and its frequency in twelfths of the leader's.
     amplitude : (l, 6) complex128
@@ -73,6 +75,7 @@ class LineStates(NamedTuple):
     alpha_radps2: Floats
     phase_rad: Floats
     ahead_rad: Floats
+    led: Ints
     shaft: Ints
     multiple: Ints
     amplitude: Complexes
@@ -105,8 +108,9 @@ def line_states(leader_hz: Floats, multiples: Sequence[Sequence[int]], weight: F
     amplitude: Complexes = np.zeros((len(multiple), len(weight)), np.complex128)
     lag = difference_lag(leader_hz / rate_hz)
     (alpha, phase, ahead), error = np.zeros((3, count)), np.zeros(len(weight))
+    led = np.zeros(count, np.int64)
     return LineStates(
-        omega_radps, omega_radps.copy(), alpha, phase, ahead, shaft, multiple, amplitude, error, weight, lag
+        omega_radps, omega_radps.copy(), alpha, phase, ahead, led, shaft, multiple, amplitude, error, weight, lag
     )
 
 

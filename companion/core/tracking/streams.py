@@ -307,14 +307,29 @@ class SampleBuffer:
             self._clean = remove_lines(self._clean_ns, values, 0, 1.0 / self.sensor.rate_hz, self._lines)
 
     def anchor_lines(self, leader_hz: dict[int, float]) -> None:
-        """Move the anchor of each shaft's loop to where its leader is now; a loop out of lock begins there anew."""
+        """Move the anchor of each shaft's loop to where its leader is now; one that nothing turns begins there anew."""
         if self._lines is None:
             return
         anchor_radps = np.array([2.0 * np.pi * leader_hz[number] / PARTS for number in self._shafts])
         unlocked = np.array([ratio < LOCKED_RATIO for _, ratio in leaders(self._lines, self.sensor.rate_hz)])
         self._lines.anchor_radps[:] = anchor_radps
-        self._lines.omega_radps[unlocked] = anchor_radps[unlocked]
-        self._lines.alpha_radps2[unlocked] = 0.0
+        unled = unlocked & (self._lines.led == 0)
+        self._lines.omega_radps[unled] = anchor_radps[unled]
+        self._lines.alpha_radps2[unled] = 0.0
+
+    def turn_with(self, other: SampleBuffer, number: int) -> None:
+        """Turn a shaft as another stream's loop does, where this one's is out of lock and that one's is not."""
+        to, of = self._lines, other._lines
+        if to is None or of is None:
+            return
+        (i, ratio), (j, ratio_of_other) = self._leader(number), other._leader(number)
+        to.led[i] = ratio < LOCKED_RATIO < ratio_of_other
+        if to.led[i]:
+            to.omega_radps[i], to.alpha_radps2[i] = of.omega_radps[j], of.alpha_radps2[j]
+
+    def _leader(self, number: int) -> tuple[int, float]:
+        """Index of a shaft that is followed, and its leader's power over what else the stream has."""
+        return self._shafts.index(number), self.followed_shafts()[number][1]
 
     def followed_shafts(self) -> dict[int, tuple[float, float]]:
         """Leader of each shaft by number: frequency (Hz), and its power over what else the stream has."""

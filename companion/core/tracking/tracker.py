@@ -42,7 +42,7 @@ from companion.params.settings import Settings
 from companion.records import Deflection, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _HISTORY_S = 1.25  # chosen: longest lag of the smoother, and what ticks and two stamps of a pair are late
-_MOST_S = 1.0  # chosen: of epochs at once, which the history holds; then lines are searched for
+_TURN_S, _TURNS = 0.1, 10  # chosen: lines out of lock turn as the locked ones, and so often until all are searched for
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
 _BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
 _TRIAL_S = 1.5  # derived: fits come once a second
@@ -62,8 +62,7 @@ class WingTracker:
         self._front_end = MeasurementBuilder(self._layout, self._noise, (root, left, right))
         root_y_m = airframe.root.position_m[1]
         self._levers = (airframe.left.position_m[1] - root_y_m, airframe.right.position_m[1] - root_y_m)
-        self._keep = int(_HISTORY_S / self._step_s) + 8
-        self._most_epochs = round(_MOST_S / self._step_s)
+        self._keep, self._turn_epochs = int(_HISTORY_S / self._step_s) + 8, int(_TURN_S / self._step_s)
         (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._fresh = functools.partial(fresh_filter, self._layout, self._noise, airframe.wing, self._keep)
@@ -71,8 +70,7 @@ class WingTracker:
         self._body_rates = BodyRates(self._keep)
         self._start_ns: int | None = None
         self._reopened_ns = self._settle_ns = self._next_ns = 0
-        self._lines = LineFollowing(self._streams)
-        self._search_due = 0  # epoch of the grid
+        self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
         self._row_noise = RowNoise(self._noise)
         self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity, self.contradiction = Validity.SETTLING, Contradiction()
@@ -141,9 +139,9 @@ class WingTracker:
         until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
         if self._start_ns is None and not self._begin(until_ns):
             return None
-        while (count := min((until_ns - self._next_ns) // self._step_ns, self._until_search())) > 0:
+        while (count := min((until_ns - self._next_ns) // self._step_ns, self._until_line_work())) > 0:
             self._process(int(count))
-            self._search_lines()
+            self._work_on_lines()
         if not self._body_rates:
             return None
         self._validity = self._classify(now_host_ns)
@@ -166,16 +164,18 @@ class WingTracker:
         self._settle_ns = self._start_ns + round(EARLY_S * 1e9)
         return self._next_ns < until_ns
 
-    def _until_search(self) -> int:
-        """Number of epochs until a search for lines begins or its result is due."""
+    def _until_line_work(self) -> int:
+        """Number of epochs until loops share their turn, a search for lines begins, or its result is due."""
         steps = self._next_ns // self._step_ns
-        begins = steps - steps % self._most_epochs + self._most_epochs
-        return int((min(begins, self._search_due) if self._lines.is_searching else begins) - steps)
+        due = steps - steps % self._turn_epochs + self._turn_epochs
+        return int((min(due, self._search_due) if self._lines.is_searching else due) - steps)
 
-    def _search_lines(self) -> None:
-        """Begin a search for lines, or follow those that it shows, where it is time for either."""
+    def _work_on_lines(self) -> None:
+        """Share the turn of loops, begin a search for lines, or follow those that it shows, where it is time."""
         steps = self._next_ns // self._step_ns
-        if steps % self._most_epochs == 0:
+        if steps % self._turn_epochs == 0:
+            self._lines.share_turn()
+        if steps % (_TURNS * self._turn_epochs) == 0:
             self._lines.begin(self._next_ns)
             self._search_due = steps + (0 if self._adaptation.early else round(SPREAD_S / self._step_s))
         if self._lines.is_searching and steps >= self._search_due:

@@ -89,7 +89,8 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
                     slower = min(states.multiple[j] * states.anchor_radps[shaft[j]] / _SLOWER_BELOW_RADPS, 1.0)
                     states.amplitude[j, c] += slower * _AMPLITUDE_RADPS * dt * step
         for i in range(shafts if even else 0):
-            _turn(states, i, min(max(turning[i] / power[i], -_MAX_TURN_RAD), _MAX_TURN_RAD), dt)
+            psi = min(max(turning[i] / power[i], -_MAX_TURN_RAD), _MAX_TURN_RAD)
+            _turn(states, i, 0.0 if states.led[i] else psi, dt)
         calm_rad = states.phase_rad - states.ahead_rad
         for j in range(lines):
             here = np.exp(1j * states.multiple[j] * calm_rad[shaft[j]])
