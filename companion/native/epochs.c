@@ -269,8 +269,8 @@ static void roll_errors(const jacobian *j, const motion *m, int64_t k, const int
 }
 
 typedef struct {
-    double *rows, *vertical, *lateral, *slope_rate_gain, *gain, *load_g, *body_rate, *earlier_roll, *sensitivity,
-        *aliasing, *motion;
+    double *rows, *vertical, *lateral, *slope_rate_gain, *gain, *load_g, *body_rate, *earlier_roll, *earlier_load,
+        *sensitivity, *aliasing, *motion;
     uint8_t *present, *covered;
     int64_t *start_ns, parameters;
 } epoch_columns;
@@ -287,6 +287,7 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
         .load_g = reals(record->load_g, 1, &good),
         .body_rate = reals(record->body_rate_radps, 2, &good),
         .earlier_roll = reals(record->earlier_roll_radps2, 1, &good),
+        .earlier_load = reals(record->earlier_load_g, 1, &good),
         .sensitivity = reals(record->sensitivity, 3, &good),
         .aliasing = reals(record->aliasing_noise, 2, &good),
         .motion = reals(record->root_motion_variance, 2, &good),
@@ -297,7 +298,7 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
     };
     const array *all[] = {record->rows,         record->present, record->vertical_mps2,   record->lateral_mps2,
                           record->load_g,       record->start_ns, record->slope_rate_gain, record->lateral_gain,
-                          record->sensitivity,  record->body_rate_radps, record->earlier_roll_radps2,
+                          record->sensitivity,  record->body_rate_radps, record->earlier_roll_radps2, record->earlier_load_g,
                           record->aliasing_noise, record->root_motion_variance, record->root_covered};
     for (size_t k = 0; k < sizeof all / sizeof *all; k++)
         good = good && extent(all[k], 0) >= n;
@@ -330,8 +331,9 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     const double *rate = m->smooth + k * CHANNELS + ROLL;
     jacobian j = {out->sensitivity + k * ROWS * out->parameters, present, out->parameters};
     find_present(station, m, k, present);
-    double earlier[CHANNELS];
+    double earlier[CHANNELS], force_before[CHANNELS];
     mean_before(m->d_smooth, CHANNELS, m, k, earlier);
+    mean_before(m->smooth, CHANNELS, m, k, force_before);
     out->earlier_roll[k] = earlier[ROLL];
     for (int side = 0; side < 2; side++) {
         double before[3]; /* the rigid force without this epoch's noise of the root, which is in the rows too */
@@ -352,6 +354,7 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     out->covered[k] = station[0].covered[k];
     bool loaded = m->sends[VERTICAL] && out->covered[k], goes_on = k + 1 < m->n && station[0].covered[k + 1];
     out->load_g[k] = loaded ? -m->smooth[k * CHANNELS + VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
+    out->earlier_load[k] = loaded ? -force_before[VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
     for (int axis = 0; axis < 3; axis++)
         out->body_rate[3 * k + axis] = goes_on ? 0.5 * (rate[axis] + rate[CHANNELS + axis]) : rate[axis];
 }

@@ -90,7 +90,7 @@ typedef struct {
     int64_t entries, linearised_rows;
 
     const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *body_rate_radps,
-        *earlier_roll_radps2, *row_sensitivity, *aliasing_noise, *root_motion_variance;
+        *earlier_roll_radps2, *earlier_load_g, *row_sensitivity, *aliasing_noise, *root_motion_variance;
     const uint8_t *present, *root_vibrates;
 
     double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
@@ -449,19 +449,39 @@ static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
     return count;
 }
 
-/* Replace the measurement by its prediction in the sensitivities that contain it. */
-static void regress_on_prediction(run *f, double *out)
+/* Errors of the predicted rows (ROWS,) by the state's roll acceleration and the measured load factor, taken against
+ * their means of some epochs before: they are in the innovations too. */
+static void find_shared_errors(const run *f, int64_t k, double *errors)
+{
+    double roll = f->linearised[ROLL_ACCELERATION] - f->earlier_roll_radps2[k];
+    double bend = f->constants->bend_per_g_m * (f->load_g[k] - f->earlier_load_g[k]);
+    int64_t n = f->h.n;
+    memset(errors, 0, ROWS * sizeof *errors);
+    for (int64_t r = 0; r < f->count; r++)
+        errors[f->used[r]] = f->H[r * (n + 1) + n] * bend;
+    for (int side = 0; side < 2; side++) {
+        const moving_tip *tip = &f->tip[side];
+        errors[Z_LEFT + side] += f->lever_m[side] * roll;
+        errors[Y_LEFT + side] += tip->gain * tip->per_roll_acceleration * roll;
+    }
+}
+
+/* Replace the measurement by its prediction in the sensitivities that contain it, and that by one without errors which
+ * the innovation shares: their squares would be learned from. */
+static void regress_on_prediction(run *f, int64_t k, double *out)
 {
     int64_t width = f->h.width;
+    double errors[ROWS];
+    find_shared_errors(f, k, errors);
     for (int row = 0; row < ROWS; row++) {
         int64_t at = f->position[row];
         f->row_innovation[row] = at >= 0 ? dot(out + at * width, f->one_and_bias, width) : 0.0;
     }
     for (int64_t j = 0; j < f->regressors; j++) {
-        int64_t at = f->position[f->regressor_rows[j]];
-        if (at >= 0)
+        int64_t at = f->position[f->regressor_rows[j]], source = f->regressor_sources[j];
+        if (at >= 0 && f->position[source] >= 0)
             out[at * width + f->regressor_columns[j]] +=
-                f->regressor_signs[j] * f->row_innovation[f->regressor_sources[j]];
+                f->regressor_signs[j] * (f->row_innovation[source] + errors[source]);
     }
     for (int side = 0; side < 2; side++) { /* the vertical force by which a tilt shows is measured too */
         int64_t at = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
@@ -544,7 +564,7 @@ static void find_innovation(run *f, int64_t k, double *out)
         int64_t count = find_entries(f, f->H + r * n, -1.0, n);
         add_selected(out + r * width, width, f->x, f->entry, f->factor, count);
     }
-    regress_on_prediction(f, out);
+    regress_on_prediction(f, k, out);
 }
 
 /* H P. */
@@ -934,6 +954,7 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->load_g = reals(record->load_g, 1, &good);
     f->body_rate_radps = reals(record->body_rate_radps, 2, &good);
     f->earlier_roll_radps2 = reals(record->earlier_roll_radps2, 1, &good);
+    f->earlier_load_g = reals(record->earlier_load_g, 1, &good);
     f->row_sensitivity = reals(record->sensitivity, 3, &good);
     f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
@@ -941,7 +962,8 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
            extent(record->root_vibrates, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
-           extent(record->earlier_roll_radps2, 0) >= last && extent(record->root_motion_variance, 0) >= last &&
+           extent(record->earlier_roll_radps2, 0) >= last && extent(record->earlier_load_g, 0) >= last &&
+           extent(record->root_motion_variance, 0) >= last &&
            extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1;
 }
 

@@ -71,6 +71,7 @@ def _epochs(
         load_g=0.1 * rng.normal(size=n),
         body_rate_radps=np.zeros((n, 3)),
         earlier_roll_radps2=np.zeros(n),
+        earlier_load_g=np.zeros(n),
         sensitivity=rng.normal(size=(n, ROWS, bias_parameters)),
         aliasing_noise=two,
         root_motion_variance=np.zeros((n, 3)),

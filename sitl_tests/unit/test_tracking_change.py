@@ -140,6 +140,7 @@ def _nothing_measured(count: int) -> Epochs:
         load_g=np.zeros(count),
         body_rate_radps=np.zeros((count, 3)),
         earlier_roll_radps2=np.zeros(count),
+        earlier_load_g=np.zeros(count),
         sensitivity=np.zeros((count, ROWS, len(LAYOUT.bias_parameters))),
         aliasing_noise=per_side,
         root_motion_variance=np.zeros((count, 3)),

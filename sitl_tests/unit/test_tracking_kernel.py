@@ -66,9 +66,10 @@ def _epochs(kalman: SeparatedBiasFilter, missing: float) -> Epochs:
         lateral_mps2=0.3 * rng.standard_normal((STEPS, 2)),
         slope_rate_gain=1e-3 * rng.standard_normal((STEPS, 2)),
         lateral_gain=np.array([-0.1, 0.1]) * (1.0 + 0.1 * rng.standard_normal((STEPS, 2))),
-        load_g=0.2 * rng.standard_normal(STEPS),
+        load_g=(load_g := 0.2 * rng.standard_normal(STEPS)),
         body_rate_radps=np.zeros((STEPS, 3)),
         earlier_roll_radps2=rng.standard_normal(STEPS),
+        earlier_load_g=load_g + 0.01 * np.random.default_rng(9).standard_normal(STEPS),
         sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, parameters)),
         aliasing_noise=rng.random((STEPS, 2)),
         root_motion_variance=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
@@ -361,6 +362,36 @@ def test_rows_are_linear_about_the_estimated_way_inboard() -> None:
     sigma = np.sqrt(np.diag(filed.covariance))
     assert np.abs((estimated.state - filed.state) / sigma).max() < 0.01
     assert np.sqrt(np.diag(estimated.covariance)) == pytest.approx(sigma, rel=1e-3)
+
+
+@pytest.mark.parametrize("error", ["roll acceleration", "load factor"])
+def test_a_scale_s_sensitivity_has_no_error_that_the_innovation_has_too(error: str) -> None:
+    """Their product has a mean: a level wing without errors of scale learned 3 % of slope factor, 9 sigma."""
+
+    def first_step(roll_accel_radps2: float, load_g: float) -> Floats:
+        """Innovation and sensitivities of the first step, (9, 1 + c), with these for what is zero."""
+        kalman = _filter()
+        const, model, state, history = _kernel_arguments(kalman)
+        state.state_and_sensitivity[kalman.layout.roll_accel, 0] = roll_accel_radps2
+        epochs = _epochs(kalman, 0.0)
+        zeros = np.zeros(STEPS)
+        epochs = epochs._replace(
+            earlier_roll_radps2=zeros, load_g=np.full(STEPS, load_g), earlier_load_g=zeros, rows=0.01 * epochs.rows
+        )
+        kernel_loops.filter_epochs(const, model, epochs, state, history, 0, 1, 0)
+        S = np.tril(history.innovation_covariance[0])
+        used = np.flatnonzero(np.diag(S))
+        lower = np.linalg.cholesky((S + np.tril(S, -1).T)[np.ix_(used, used)])
+        rows = np.zeros((ROWS, history.whitened_innovation.shape[2]))
+        rows[used] = lower @ history.whitened_innovation[0, : len(used)]
+        return rows
+
+    column = _filter().layout.column
+    change = first_step(*((0.3, 0.0) if error == "roll acceleration" else (0.0, 0.01))) - first_step(0.0, 0.0)
+    scales = [(Z_LEFT, "left.kz"), (Z_LEFT + 1, "right.kz"), (Y_LEFT, "left.ky"), (Y_LEFT + 1, "right.ky")]
+    for row, name in scales:
+        assert abs(change[row, 0]) > (0.05 if row < Y_LEFT else 1e-5), "the innovation has it"
+        assert abs(change[row, column(name)]) < 0.05 * abs(change[row, 0]), name
 
 
 def test_innovations_are_as_uncertain_as_considered_parameters_make_them() -> None:

@@ -71,6 +71,8 @@ class Epochs(NamedTuple):
         Body rate at the end of the epoch, FRD.
     earlier_roll_radps2 : (n,) float64
         Roll acceleration, mean of some epochs before: without this epoch's noise.
+    earlier_load_g : (n,) float64
+        Load factor less one, likewise.
     sensitivity : (n, 9, c) float64
         Jacobian of the rows with respect to the bias parameters, as far as data alone give it.
     aliasing_noise : (n, 2) float64
@@ -94,6 +96,7 @@ class Epochs(NamedTuple):
     load_g: Floats
     body_rate_radps: Floats
     earlier_roll_radps2: Floats
+    earlier_load_g: Floats
     sensitivity: Floats
     aliasing_noise: Floats
     root_motion_variance: Floats

@@ -108,7 +108,8 @@ class MeasurementBuilder:
             last = np.maximum.accumulate(np.where(epochs.root_covered, np.arange(epochs.length), -1))
             load_g, body_rate_radps = epochs.load_g[last], epochs.body_rate_radps[last]
             load_g[last < 0], body_rate_radps[last < 0] = self._last
-            epochs = epochs._replace(load_g=load_g, body_rate_radps=body_rate_radps)
+            earlier_load_g = np.where(epochs.root_covered, epochs.earlier_load_g, load_g)
+            epochs = epochs._replace(load_g=load_g, body_rate_radps=body_rate_radps, earlier_load_g=earlier_load_g)
         self._last = float(epochs.load_g[-1]), epochs.body_rate_radps[-1].copy()
         return epochs
 
@@ -178,6 +179,7 @@ def _empty(n: int, parameters: int) -> Epochs:
         load_g=np.empty(n),
         body_rate_radps=np.empty((n, 3)),
         earlier_roll_radps2=np.empty(n),
+        earlier_load_g=np.empty(n),
         sensitivity=np.empty((n, ROWS, parameters)),
         aliasing_noise=np.empty((n, 2)),
         root_motion_variance=np.empty((n, 3)),

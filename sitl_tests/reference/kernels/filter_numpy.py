@@ -68,14 +68,15 @@ def _filter_step(
     history.transition_index[slot], history.static_m[slot] = model.transition_index, state_and_sensitivity[n]
     residual_columns = np.concatenate([epochs.rows[k][:, None], -epochs.sensitivity[k]], axis=1)
     H, state = model.H.copy(), state_and_sensitivity @ one_and_bias
-    _linearise(const, model, epochs, k, state, one_and_bias, residual_columns, H)
+    tips = _linearise(const, model, epochs, k, state, one_and_bias, residual_columns, H)
     used = _select_rows(model, epochs, k)
     H_used = H[used, :n]
     HP = H_used @ covariance
     innovation = residual_columns[used] - H[used] @ state_and_sensitivity
     slope = (model.linearisation_rows @ (state_and_sensitivity @ one_and_bias))[:2]
     gravity = slope[:, None] * (model.linearisation_rows[:2] @ state_and_sensitivity)
-    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias, slope, gravity)
+    shared = _shared_errors(const, model, epochs, k, state, tips, H)[used]
+    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias, shared, slope, gravity)
     row_innovation, HPHT = innovation @ one_and_bias, HP @ H_used.T
     struck = 0.0 if epochs.root_vibrates[k] else float(epochs.root_motion_variance[k, 0])
     noise_inflation = min(
@@ -222,8 +223,8 @@ def _linearise(
     one_and_bias: Floats,
     residual_columns: Floats,
     H: Floats,
-) -> None:
-    """Terms of innovation, sensitivity and ``H`` that depend on the predicted state, in place."""
+) -> list[_MovingTip]:
+    """Terms of innovation, sensitivity and ``H`` that depend on the predicted state, in place; both tips' motion."""
     linearised = model.linearisation_rows @ state
     vertical_mps2, slope, rate = epochs.vertical_mps2[k], linearised[:2], linearised[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
@@ -275,6 +276,7 @@ def _linearise(
     residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[
         6 + 6 * const.shortening_pm.shape[1] :
     ]
+    return tips
 
 
 def _shortening_factors(const: FilterConstants, one_and_bias: Floats) -> Floats:
@@ -310,6 +312,7 @@ class _MovingTip(NamedTuple):
     per_measured: float
     by_acceleration: Floats
     by_force: float
+    by_roll_acceleration: float
 
 
 def _moving_tip(
@@ -378,6 +381,7 @@ def _moving_tip(
         per_measured + per_other,
         gain * np.array([per_measured, per_other]),
         gain * force,
+        gain * (raised + by_roll),
     )
 
 
@@ -457,12 +461,36 @@ def _measurement_noise(
     return out
 
 
+def _shared_errors(
+    const: FilterConstants,
+    model: DiscreteModel,
+    epochs: Epochs,
+    k: int,
+    state: Floats,
+    tips: list[_MovingTip],
+    H: Floats,
+) -> Floats:
+    """Errors of the predicted rows by the roll acceleration and the load factor, against their earlier means."""
+    roll = float(model.linearisation_rows[5] @ state) - float(epochs.earlier_roll_radps2[k])
+    errors = H[:, -1] * const.bend_per_g_m * (epochs.load_g[k] - epochs.earlier_load_g[k])
+    errors[Z_LEFT : Z_LEFT + 2] += const.lever_m * roll
+    errors[Y_LEFT : Y_LEFT + 2] += np.array([tip.by_roll_acceleration for tip in tips]) * roll
+    return np.asarray(errors)
+
+
 def _regress_on_prediction(
-    const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats, slope: Floats, gravity: Floats
+    const: FilterConstants,
+    used: Ints,
+    innovation: Floats,
+    row_innovation: Floats,
+    shared: Floats,
+    slope: Floats,
+    gravity: Floats,
 ) -> None:
     """Replace the measurement by its prediction in the sensitivities that contain it, in place.
 
-    ``gravity`` (2, 1 + c) are the columns of the vertical rows by which the vertical force shows the tilt ``slope``
+    ``shared`` (m,) are errors of the prediction that the innovation has too. ``gravity`` (2, 1 + c) are the columns
+    of the vertical rows by which the vertical force shows the tilt ``slope``
     (2,), per unit of that force.
     """
     position = {row: at for at, row in enumerate(used.tolist())}
@@ -470,7 +498,8 @@ def _regress_on_prediction(
     entries = zip(rows.tolist(), columns.tolist(), sources.tolist(), const.regressor_signs, strict=True)
     for row, column, source, sign in entries:
         if row in position and source in position:
-            innovation[position[row], column] += sign * row_innovation[position[source]]
+            at = position[source]
+            innovation[position[row], column] += sign * (row_innovation[at] + shared[at])
     for side, column in enumerate(const.roll_misalignment_column.tolist()):
         at = position.get(Z_LEFT + side)
         if at is None:

@@ -119,11 +119,13 @@ def _rows_and_jacobians(
         for row in range(ROWS):
             if not present[k, row]:
                 rows[k, row] = 0.0
-    load_g = np.zeros(n)
+    load_g, earlier_load_g = np.zeros(n), np.zeros(n)
+    force_before = mean_before(motion.f_root[:, 2:], motion.root_present)[:, 0]
     if averaged.sends[0, VERTICAL]:
         for k in range(n):
             if averaged.covered[0, k]:
                 load_g[k] = -motion.f_root[k, 2] / GRAVITY_MPS2 - 1.0
+                earlier_load_g[k] = -force_before[k] / GRAVITY_MPS2 - 1.0
     body_rate_radps = motion.omega.copy()
     goes_on = averaged.covered[0, 1:]
     body_rate_radps[:-1][goes_on] = 0.5 * (motion.omega[:-1] + motion.omega[1:])[goes_on]
@@ -143,6 +145,7 @@ def _rows_and_jacobians(
         load_g,
         body_rate_radps,
         mean_before(motion.omega_dot[:, :1], motion.root_present)[:, 0],
+        earlier_load_g,
         sensitivity,
         aliasing_noise,
         root_motion_variance,
