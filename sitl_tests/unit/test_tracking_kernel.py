@@ -549,6 +549,17 @@ def test_numbers_that_have_run_away_stop_the_filter(kernel: object) -> None:
     assert not kernel.filter_epochs(const, model, epochs, filter_state, history, 0, STEPS, 0)  # type: ignore[attr-defined]
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_filter_whose_numbers_run_away_says_so_and_stops() -> None:
+    kalman = _filter()
+    epochs = _epochs(kalman, 0.0)
+    kalman.run(epochs)
+    kalman.covariance[0, 0] = kalman._filter_state.information[1, 1] = np.inf
+    kalman.run(epochs)
+    assert not kalman.finite
+    assert kalman.steps == STEPS
+
+
 TIPS_UP = slice(Z_LEFT, Z_LEFT + 2)
 
 

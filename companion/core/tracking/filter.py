@@ -310,21 +310,21 @@ class SeparatedBiasFilter:
         """Filter a run of epochs."""
         first = 0
         while first < epochs.length and self.finite:
-            last = min(epochs.length, first + _SOLVE_EVERY - self._steps_since_solution)
-            before = self._filter_state.information.copy()
+            count = min(epochs.length - first, _SOLVE_EVERY - self._steps_since_solution)
+            before, span = self._filter_state.information.copy(), (first, first + count, self.steps)
             self.finite = filter_epochs(
-                self._constants, self._discrete_model, epochs, self._filter_state, self.history, first, last, self.steps
+                self._constants, self._discrete_model, epochs, self._filter_state, self.history, *span
             )
+            if not self.finite:
+                return
             at = np.ix_(self._teachable, self._teachable)
-            gained = (self._filter_state.information - before)[1:, 1:][at]
-            self._by_parameters *= (1.0 - self.model.step_s) ** (last - first)
-            self._by_parameters += float(np.sum(gained * self._bias_covariance[at]))
-            self.steps += last - first
-            self._steps_since_solution += last - first
+            gained = np.sum((self._filter_state.information - before)[1:, 1:][at] * self._bias_covariance[at])
+            self._by_parameters = (1.0 - self.model.step_s) ** count * self._by_parameters + float(gained)
+            self.steps, self._steps_since_solution = self.steps + count, self._steps_since_solution + count
             if self._steps_since_solution >= _SOLVE_EVERY:
                 self._solve_bias_parameters()
                 self._age_wandering()
-            first = last
+            first += count
 
     def switch_model(self, model: DiscreteWingModel) -> None:
         """Go on with another model of the same wing."""
