@@ -14,6 +14,7 @@
 #define MAX_NOISE_INFLATION 1e6
 #define MAX_STEP_NIS 200.0
 #define STRUCK_SIGMAS 3.0
+#define MOST_TILT_RAD 0.5
 
 /* Rows of `linearised`: what they give, by tip where there are two. From MODES on those of each rank of modes, lowest
  * first: lifts, lift rates as the step begins, lift accelerations; the slope factors' regressors follow. */
@@ -265,6 +266,8 @@ static expected_force find_expected_force(const run *f, int64_t k, int side)
         }
     }
     of.force += (p_dot + turning) * raised;
+    if (fabs(f->linearised[SLOPES + side]) > MOST_TILT_RAD)
+        return (expected_force){.force = of.force};
     of.per_roll_acceleration = raised;
     of.linear = of.per_roll_rate * p + of.per_roll_acceleration * p_dot;
     for (int64_t i = 0; i < f->ranks; i++)

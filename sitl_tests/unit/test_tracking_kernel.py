@@ -283,6 +283,25 @@ def test_the_vertical_row_is_linear_in_a_state_that_bends_the_wing_far() -> None
         assert -quotient == pytest.approx(H[:, i], rel=1e-6, abs=1e-6), f"state {i}"
 
 
+@pytest.mark.parametrize("lift_m", [0.3, 0.5])
+def test_a_state_beyond_all_wings_is_not_driven_on(lift_m: float) -> None:
+    """At 0.5 m, a slope of 0.7 rad, a vertical row sees a change of the tilt alone; both loops say so."""
+    states = []
+    for kernel in (kernel_loops, kernel_numpy):
+        kalman = _filter()
+        const, model, filter_state, history = _kernel_arguments(kalman)
+        filter_state.state_and_sensitivity[kalman.layout.symmetric.q, 0] = lift_m
+        state, epochs = filter_state.state_and_sensitivity[:, 0].copy(), _epochs(kalman, 0.0)
+        assert kernel.filter_epochs(const, model, epochs, filter_state, history, 0, 1, 0)  # type: ignore[attr-defined]
+        states.append(filter_state.state_and_sensitivity)
+    np.testing.assert_allclose(*states, rtol=1e-7, atol=1e-7)
+    residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
+    kernel_numpy._linearise(const, model, epochs, 0, state, _believed(kalman), residual, H)
+    change, by_tilt = (H - model.H)[Z_LEFT], model.linearisation_rows[0]
+    besides = change - (change @ by_tilt) / (by_tilt @ by_tilt) * by_tilt
+    assert (np.abs(besides).max() < 1e-9 * np.abs(change).max()) == (lift_m > 0.4)
+
+
 def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
     """Difference quotients of both slope rows by K of the lowest modes, and by all of K that further modes have in."""
     kalman = _filter()

@@ -17,6 +17,7 @@ from companion.core.kernels.arrays import (
     LOAD_VARIANCE_RATIO,
     MAX_NOISE_INFLATION,
     MAX_STEP_NIS,
+    MOST_TILT_RAD,
     STRUCK_SIGMAS,
     DiscreteModel,
     Epochs,
@@ -398,6 +399,8 @@ def _expected_force(
     height_column = int(const.height_column[side])
     raised = lift.sum() + (one_and_bias[height_column] if height_column else 0.0)
     force = 2.0 * p * rate.sum() + (p_dot + by_gyros) * raised - lift @ K @ accel - rate @ K @ rate
+    if abs(float(rows[side] @ state)) > MOST_TILT_RAD:
+        return float(force), np.zeros(rows.shape[1])
     by_state = (epochs.earlier_roll_radps2[k] + by_gyros - K @ accel) @ lift_rows
     by_state = by_state + 2.0 * (p - K @ rate) @ rate_rows - (lift @ K) @ accel_rows
     return float(force), by_state + 2.0 * rate.sum() * rows[4] + raised * rows[5]
