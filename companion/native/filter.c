@@ -452,8 +452,8 @@ static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
     return count;
 }
 
-/* Errors of the predicted rows (ROWS,) by the state's roll acceleration and the measured load factor, taken against
- * their means of some epochs before: they are in the innovations too. */
+/* Errors of the predicted rows (ROWS,) by the measured load factor and, in slope rows, by the state's roll acceleration,
+ * taken against their means of some epochs before: they are in the innovations too. */
 static void find_shared_errors(const run *f, int64_t k, double *errors)
 {
     double roll = f->linearised[ROLL_ACCELERATION] - f->earlier_roll_radps2[k];
@@ -462,11 +462,8 @@ static void find_shared_errors(const run *f, int64_t k, double *errors)
     memset(errors, 0, ROWS * sizeof *errors);
     for (int64_t r = 0; r < f->count; r++)
         errors[f->used[r]] = f->H[r * (n + 1) + n] * bend;
-    for (int side = 0; side < 2; side++) {
-        const moving_tip *tip = &f->tip[side];
-        errors[Z_LEFT + side] += f->lever_m[side] * roll;
-        errors[Y_LEFT + side] += tip->gain * tip->per_roll_acceleration * roll;
-    }
+    for (int side = 0; side < 2; side++)
+        errors[Y_LEFT + side] += f->tip[side].gain * f->tip[side].per_roll_acceleration * roll;
 }
 
 /* Replace the measurement by its prediction in the sensitivities that contain it, and that by one without errors which

@@ -473,10 +473,9 @@ def _shared_errors(
     tips: list[_MovingTip],
     H: Floats,
 ) -> Floats:
-    """Errors of the predicted rows by the roll acceleration and the load factor, against their earlier means."""
+    """Errors of the predicted rows by the load factor and of slopes by the roll acceleration, against earlier means."""
     roll = float(model.linearisation_rows[5] @ state) - float(epochs.earlier_roll_radps2[k])
     errors = H[:, -1] * const.bend_per_g_m * (epochs.load_g[k] - epochs.earlier_load_g[k])
-    errors[Z_LEFT : Z_LEFT + 2] += const.lever_m * roll
     errors[Y_LEFT : Y_LEFT + 2] += np.array([tip.by_roll_acceleration for tip in tips]) * roll
     return np.asarray(errors)
 
