@@ -240,7 +240,7 @@ def test_adaptation_that_is_switched_off_in_flight_cuts_runs_no_more(
     for station, v in values.items():
         tracker.add(batch(station, t[3000:], v[3000:]))
     tracker.advance(EPOCH_NS + 4000 * MS)
-    assert max(runs) > 20, "cut where loops of lines share their turn, each tenth of a second"
+    assert max(runs) > 200
 
 
 def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.core.tracking.line_removal import LOCKED_RATIO
 from companion.core.tracking.line_search import MIN_RATE_HZ, SILENT_NS, KnownLines
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
@@ -24,6 +25,11 @@ class LineFollowing:
     def is_searching(self) -> bool:
         """Whether a search has begun whose result is not yet followed."""
         return self._search is not None
+
+    @property
+    def follows(self) -> bool:
+        """Whether there is a shaft whose loops share their turn."""
+        return bool(self._multiples)
 
     def begin(self, until_ns: int) -> None:
         """Begin a search in the samples before an instant."""
@@ -56,9 +62,9 @@ class LineFollowing:
 
         A tip that gusts shake, or whose peaks are clipped, loses a shaft that changes its speed; the root holds it.
         """
-        for number, (best, _) in self._best_followed().items():
+        for number, (best, (_, ratio)) in self._best_followed().items():
             for stream in self._streams:
-                stream.turn_with(best, number)
+                stream.turn_with(best if ratio > LOCKED_RATIO else None, number)
 
     def _followed_shafts(self) -> dict[int, tuple[float, float]]:
         """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most."""

@@ -317,19 +317,16 @@ class SampleBuffer:
         self._lines.omega_radps[unled] = anchor_radps[unled]
         self._lines.alpha_radps2[unled] = 0.0
 
-    def turn_with(self, other: SampleBuffer, number: int) -> None:
-        """Turn a shaft as another stream's loop does, where this one's is out of lock and that one's is not."""
-        to, of = self._lines, other._lines
-        if to is None or of is None:
+    def turn_with(self, locked: SampleBuffer | None, number: int) -> None:
+        """Turn a shaft, where this stream's loop is out of lock, as the loop of a stream that is in lock, if any is."""
+        to, of = self._lines, None if locked is None else locked._lines
+        if to is None:
             return
-        (i, ratio), (j, ratio_of_other) = self._leader(number), other._leader(number)
-        to.led[i] = ratio < LOCKED_RATIO < ratio_of_other
-        if to.led[i]:
+        i = self._shafts.index(number)
+        to.led[i] = of is not None and leaders(to, self.sensor.rate_hz)[i][1] < LOCKED_RATIO
+        if locked is not None and of is not None and to.led[i]:
+            j = locked._shafts.index(number)
             to.omega_radps[i], to.alpha_radps2[i] = of.omega_radps[j], of.alpha_radps2[j]
-
-    def _leader(self, number: int) -> tuple[int, float]:
-        """Index of a shaft that is followed, and its leader's power over what else the stream has."""
-        return self._shafts.index(number), self.followed_shafts()[number][1]
 
     def followed_shafts(self) -> dict[int, tuple[float, float]]:
         """Leader of each shaft by number: frequency (Hz), and its power over what else the stream has."""

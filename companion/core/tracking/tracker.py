@@ -166,8 +166,8 @@ class WingTracker:
 
     def _until_line_work(self) -> int:
         """Number of epochs until loops share their turn, a search for lines begins, or its result is due."""
-        steps = self._next_ns // self._step_ns
-        due = steps - steps % self._turn_epochs + self._turn_epochs
+        steps, every = self._next_ns // self._step_ns, self._turn_epochs * (1 if self._lines.follows else _TURNS)
+        due = (steps // every + 1) * every
         return int((min(due, self._search_due) if self._lines.is_searching else due) - steps)
 
     def _work_on_lines(self) -> None:
