@@ -206,12 +206,11 @@ static void mean_before(const double *values, int64_t width, const motion *m, in
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
  * the root had it in the mean of those epochs: the tip's own axes carry vibration that is coherent with the row's. */
 static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, const double *before,
-                       double roll_accel, double moment, double gain, const int64_t *columns)
+                       const double *root_before, double roll_accel, double moment, double gain,
+                       const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    double root[CHANNELS];
-    mean_before(m->smooth, CHANNELS, m, k, root);
-    const double *now = m->rigid[side] + 3 * k, *turn = root + ROLL;
+    const double *now = m->rigid[side] + 3 * k, *turn = root_before + ROLL;
     double y = tip[1], z = tip[2], scaled_y = y + before[1] - now[1], scaled_z = z + before[2] - now[2];
     double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
     int vertical = Z_LEFT + side, lateral = Y_LEFT + side, roll = P_LEFT + side;
@@ -331,16 +330,16 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     const double *rate = m->smooth + k * CHANNELS + ROLL;
     jacobian j = {out->sensitivity + k * ROWS * out->parameters, present, out->parameters};
     find_present(station, m, k, present);
-    double earlier[CHANNELS], force_before[CHANNELS];
+    double earlier[CHANNELS], root_before[CHANNELS];
     mean_before(m->d_smooth, CHANNELS, m, k, earlier);
-    mean_before(m->smooth, CHANNELS, m, k, force_before);
+    mean_before(m->smooth, CHANNELS, m, k, root_before);
     out->earlier_roll[k] = earlier[ROLL];
     for (int side = 0; side < 2; side++) {
         double before[3]; /* the rigid force without this epoch's noise of the root, which is in the rows too */
         mean_before(m->rigid[side], 3, m, k, before);
         gain[side] = lateral_gain(m, k, side, present);
         tip_rows(station, m, k, side, before, out);
-        tip_errors(&j, m, k, side, before, earlier[ROLL], station[1 + side].moment[k], gain[side],
+        tip_errors(&j, m, k, side, before, root_before, earlier[ROLL], station[1 + side].moment[k], gain[side],
                    columns + (1 + side) * ERRORS);
         root_errors(&j, m, k, side, gain[side], columns);
         if (!present[Y_LEFT + side])
@@ -354,7 +353,7 @@ static void fill_epoch(const averages *station, const motion *m, int64_t k, cons
     out->covered[k] = station[0].covered[k];
     bool loaded = m->sends[VERTICAL] && out->covered[k], goes_on = k + 1 < m->n && station[0].covered[k + 1];
     out->load_g[k] = loaded ? -m->smooth[k * CHANNELS + VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
-    out->earlier_load[k] = loaded ? -force_before[VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
+    out->earlier_load[k] = loaded ? -root_before[VERTICAL] / GRAVITY_MPS2 - 1.0 : 0.0;
     for (int axis = 0; axis < 3; axis++)
         out->body_rate[3 * k + axis] = goes_on ? 0.5 * (rate[axis] + rate[CHANNELS + axis]) : rate[axis];
 }
