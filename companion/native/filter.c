@@ -47,12 +47,17 @@ typedef struct {
         *teachable;
 } state_record;
 
+/* Derivatives of a tip's lateral force by the body's roll rate and acceleration, and by each rank's lift, lift rate as
+ * the step begins, and acceleration. */
+typedef struct {
+    double roll_rate, roll_acceleration, lift[MAX_RANKS], rate[MAX_RANKS], acceleration[MAX_RANKS];
+} force_derivatives;
+
 /* Lateral force that a moving tip feels beyond the rigid one and its tilt, m/s^2: itself, and what the slope row has of
  * it. */
 typedef struct {
     double force;
-    /* its derivatives by the body's roll rate and acceleration, and by each rank's lift, lift rate and acceleration */
-    double per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS], per_acceleration[MAX_RANKS];
+    force_derivatives by;
     double per_shortening, per_further_shortening; /* by relative errors of the way inboard */
     double rest;          /* what a linear form of these leaves of the slope row */
     double gain;          /* what a unit of force adds to the row */
@@ -61,11 +66,10 @@ typedef struct {
     double per_measured, per_other; /* the force's derivatives by the measured acceleration of this tip and the other */
 } moving_tip;
 
-/* The same force as it is expected without the measured acceleration, for the row that measures that, its derivatives,
- * and their linear form at the prediction. */
+/* The same force as it is expected without the measured acceleration, for the row that measures that. */
 typedef struct {
-    double force, per_roll_rate, per_roll_acceleration, per_lift[MAX_RANKS], per_rate[MAX_RANKS],
-        per_acceleration[MAX_RANKS], linear;
+    double force;
+    force_derivatives by;
 } expected_force;
 
 /* What each rank of modes has in a tip's acceleration beyond the expected one, and in the other tip's. */
@@ -238,6 +242,31 @@ static void find_instruments(const run *f, int64_t k, int side, rank_shares shar
     }
 }
 
+/* Sum of a tip's derivatives times what they are by, as predicted. */
+static double linear_form(const run *f, int side, const force_derivatives *by)
+{
+    const double *lift = f->linearised + MODES + side;
+    double sum = by->roll_rate * f->linearised[ROLL_RATE] + by->roll_acceleration * f->linearised[ROLL_ACCELERATION];
+    for (int64_t a = 0; a < f->ranks; a++, lift += EACH_RANK)
+        sum += by->lift[a] * lift[0] + by->rate[a] * lift[2] + by->acceleration[a] * lift[4];
+    return sum;
+}
+
+/* Add a tip's derivatives, times a gain, to a row of H (n + 1,). */
+static void add_derivatives(const run *f, int side, const force_derivatives *by, double gain, double *out)
+{
+    const double *rows = f->linearisation_rows;
+    int64_t n = f->h.n + 1;
+    add_scaled(out, rows + ROLL_RATE * n, gain * by->roll_rate, n);
+    add_scaled(out, rows + ROLL_ACCELERATION * n, gain * by->roll_acceleration, n);
+    for (int64_t a = 0; a < f->ranks; a++) {
+        const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
+        add_scaled(out, lift, gain * by->lift[a], n);
+        add_scaled(out, lift + 2 * n, gain * by->rate[a], n);
+        add_scaled(out, lift + 4 * n, gain * by->acceleration[a], n);
+    }
+}
+
 /* Lateral force of a moving tip (find_moving_tip) by the predicted state alone. */
 static expected_force find_expected_force(const run *f, int64_t k, int side)
 {
@@ -253,26 +282,22 @@ static expected_force find_expected_force(const run *f, int64_t k, int side)
         int64_t a = i * EACH_RANK;
         raised += lifts[a];
         of.force += 2.0 * p * rates[a];
-        of.per_roll_rate += 2.0 * rates[a];
-        of.per_lift[i] += f->earlier_roll_radps2[k] + turning; /* an earlier p', as in find_moving_tip */
-        of.per_rate[i] += 2.0 * p;
+        of.by.roll_rate += 2.0 * rates[a];
+        of.by.lift[i] += f->earlier_roll_radps2[k] + turning; /* an earlier p', as in find_moving_tip */
+        of.by.rate[i] += 2.0 * p;
         for (int64_t j = 0; j < f->ranks; j++) {
             int64_t b = j * EACH_RANK;
             double shortening = (i || j ? further : lowest) * K[i * f->ranks + j];
             of.force -= shortening * (lifts[a] * accelerations[b] + rates[a] * rates[b]);
-            of.per_lift[i] -= shortening * accelerations[b];
-            of.per_rate[i] -= 2.0 * shortening * rates[b];
-            of.per_acceleration[j] -= shortening * lifts[a];
+            of.by.lift[i] -= shortening * accelerations[b];
+            of.by.rate[i] -= 2.0 * shortening * rates[b];
+            of.by.acceleration[j] -= shortening * lifts[a];
         }
     }
     of.force += (p_dot + turning) * raised;
     if (fabs(f->linearised[SLOPES + side]) > MOST_TILT_RAD)
         return (expected_force){.force = of.force};
-    of.per_roll_acceleration = raised;
-    of.linear = of.per_roll_rate * p + of.per_roll_acceleration * p_dot;
-    for (int64_t i = 0; i < f->ranks; i++)
-        of.linear += of.per_lift[i] * lifts[i * EACH_RANK] + of.per_rate[i] * rates[i * EACH_RANK] +
-                     of.per_acceleration[i] * accelerations[i * EACH_RANK];
+    of.by.roll_acceleration = raised;
     return of;
 }
 
@@ -280,7 +305,7 @@ static expected_force find_expected_force(const run *f, int64_t k, int side)
  * wing's tip, which moves inboard by half of K w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 {
-    const double *lifts = f->linearised + MODES + side, *start = lifts + 2, *expected = lifts + 4;
+    const double *lifts = f->linearised + MODES + side;
     const double *expected_of_other = f->linearised + MODES + 1 - side + 4;
     int64_t squares = f->ranks * f->ranks;
     bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
@@ -293,7 +318,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2], across = p_dot + turning;
     double accelerations[MAX_RANKS], instruments[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS];
     double by_rates[MAX_RANKS], by_lifts[MAX_RANKS], inboard = 0.0;
-    double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, linear = 0.0, by_sum = 0.0;
+    double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, by_sum = 0.0;
     find_lift_rates(f, k, side, share, accelerations, rates, inside);
     find_instruments(f, k, side, share, accelerations, instruments);
     moving_tip tip = {.force = 0.0};
@@ -310,47 +335,46 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
             by_instrument += shortening * instruments[b];
             by_rate += shortening * rates[b];
             by_moment += shortening * inside[b];
-            tip.per_acceleration[b] -= shortening * lift;
+            tip.by.acceleration[b] -= shortening * lift;
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
         /* an earlier p': the state's goes with the error of p' w, and teaches false lifts */
-        tip.per_lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
-        tip.per_rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
-        tip.per_roll_rate += 2.0 * rates[a];
-        tip.per_roll_acceleration += lift;
+        tip.by.lift[a] = f->earlier_roll_radps2[k] + turning - by_instrument;
+        tip.by.rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
+        tip.by.roll_rate += 2.0 * rates[a];
+        tip.by.roll_acceleration += lift;
         inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
-        linear += tip.per_lift[a] * lift + tip.per_rate[a] * start[a * EACH_RANK];
     }
     double height = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
     tip.force += across * height;
-    tip.per_roll_acceleration += height;
+    tip.by.roll_acceleration += height;
     /* half a step of each is in its rate */
     for (int64_t b = 0; b < f->ranks; b++) {
-        tip.per_acceleration[b] += step_s * ((measured ? 0.0 : p) - by_rates[b]);
-        by_sum += share.own[b] * tip.per_acceleration[b];
+        tip.by.acceleration[b] += step_s * ((measured ? 0.0 : p) - by_rates[b]);
+        by_sum += share.own[b] * tip.by.acceleration[b];
     }
     for (int64_t b = 0; b < f->ranks; b++) {
         const double *left_open = share.covariance + b * f->ranks, *whole = f->lift_acceleration_covariance + 2 * squares;
         for (int64_t c = 0; c < f->ranks; c++) {
-            double product = (tip.per_acceleration[b] - by_sum) * (tip.per_acceleration[c] - by_sum);
+            double product = (tip.by.acceleration[b] - by_sum) * (tip.by.acceleration[c] - by_sum);
             tip.variance += product * left_open[c];
             tip.blow_variance += product * whole[b * f->ranks + c];
         }
     }
     for (int64_t b = 0; b < f->ranks; b++) {
-        tip.per_acceleration[b] -= 2.0 * quarter * by_lifts[b]; /* expected: a blow has more */
-        tip.per_measured += share.own[b] * tip.per_acceleration[b];
-        tip.per_other += share.other[b] * tip.per_acceleration[b];
+        tip.by.acceleration[b] -= 2.0 * quarter * by_lifts[b]; /* expected: a blow has more */
+        tip.per_measured += share.own[b] * tip.by.acceleration[b];
+        tip.per_other += share.other[b] * tip.by.acceleration[b];
     }
+    double by_other = 0.0;
     for (int64_t b = 0; b < f->ranks; b++) {
-        tip.per_acceleration[b] -= tip.per_measured;
-        linear += tip.per_acceleration[b] * expected[b * EACH_RANK] - tip.per_other * expected_of_other[b * EACH_RANK];
+        tip.by.acceleration[b] -= tip.per_measured;
+        by_other -= tip.per_other * expected_of_other[b * EACH_RANK];
     }
     /* the roll lifts the tips as well */
-    tip.per_roll_acceleration += tip.per_measured * f->lever_m[side] + tip.per_other * f->lever_m[1 - side];
-    linear += tip.per_roll_rate * p + tip.per_roll_acceleration * p_dot;
+    tip.by.roll_acceleration += tip.per_measured * f->lever_m[side] + tip.per_other * f->lever_m[1 - side];
     /* the measured acceleration has what the tilt shows of all this */
     inboard -= tip.per_measured * sign * slope * (tip.force + inboard);
     tip.force += inboard;
@@ -359,7 +383,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     double all = tip.force + sign * f->lateral_mps2[2 * k + side]; /* by 1 / cos(slope), once it is turned */
     double lean = tan(read) - gain * (tip.force + 0.5 * all * squared(slope));
     tip.gain = gain / (1.0 + squared(lean));
-    tip.rest = atan(lean) - read + tip.gain * linear;
+    tip.rest = atan(lean) - read + tip.gain * (linear_form(f, side, &tip.by) + by_other);
     return tip;
 }
 
@@ -367,17 +391,11 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 static void add_moving_tip(const run *f, int side, double *out)
 {
     const moving_tip *tip = &f->tip[side];
-    const double *rows = f->linearisation_rows, gain = tip->gain;
     int64_t n = f->h.n + 1;
-    add_scaled(out, rows + ROLL_RATE * n, gain * tip->per_roll_rate, n);
-    add_scaled(out, rows + ROLL_ACCELERATION * n, gain * tip->per_roll_acceleration, n);
-    for (int64_t a = 0; a < f->ranks; a++) {
-        const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
-        add_scaled(out, lift, gain * tip->per_lift[a], n);
-        add_scaled(out, lift + 2 * n, gain * tip->per_rate[a], n);
-        add_scaled(out, lift + 4 * n, gain * tip->per_acceleration[a], n);
-        add_scaled(out, rows + (MODES + a * EACH_RANK + 1 - side + 4) * n, -gain * tip->per_other, n);
-    }
+    add_derivatives(f, side, &tip->by, tip->gain, out);
+    for (int64_t a = 0; a < f->ranks; a++)
+        add_scaled(out, f->linearisation_rows + (MODES + a * EACH_RANK + 1 - side + 4) * n, -tip->gain * tip->per_other,
+                   n);
 }
 
 /* Add a lifted tip's centripetal force, downward, to a vertical row (n + 1,). */
@@ -390,23 +408,15 @@ static void add_turning_tip(const run *f, int64_t k, int side, double *out)
     add_scaled(out, rows + ROLL_RATE * n, 2.0 * f->linearised[ROLL_RATE] * lift_of_tip(f, side), n);
 }
 
-/* Add what a tilted tip shows of its expected lateral force to a vertical row (n + 1,). */
+/* Add what a tilted tip shows of its vertical and of its expected lateral force to a vertical row (n + 1,). */
 static void add_tilted_force(const run *f, int64_t k, int side, double *out)
 {
     const expected_force *of = &f->expected[side];
-    const double *rows = f->linearisation_rows, sign = 1.0 - 2.0 * side, gain = -sign * f->linearised[SLOPES + side];
+    double sign = 1.0 - 2.0 * side, slope = f->linearised[SLOPES + side];
+    double turned = f->vertical_mps2[2 * k + side] * slope + f->lateral_mps2[2 * k + side] + sign * of->force;
     int64_t n = f->h.n + 1;
-    double lateral = f->lateral_mps2[2 * k + side] + sign * of->force;
-    add_scaled(out, rows + (SLOPES + side) * n, -(f->vertical_mps2[2 * k + side] * f->linearised[SLOPES + side] + lateral),
-               n);
-    add_scaled(out, rows + ROLL_RATE * n, gain * of->per_roll_rate, n);
-    add_scaled(out, rows + ROLL_ACCELERATION * n, gain * of->per_roll_acceleration, n);
-    for (int64_t a = 0; a < f->ranks; a++) {
-        const double *lift = rows + (MODES + a * EACH_RANK + side) * n;
-        add_scaled(out, lift, gain * of->per_lift[a], n);
-        add_scaled(out, lift + 2 * n, gain * of->per_rate[a], n);
-        add_scaled(out, lift + 4 * n, gain * of->per_acceleration[a], n);
-    }
+    add_scaled(out, f->linearisation_rows + (SLOPES + side) * n, -turned, n);
+    add_derivatives(f, side, &of->by, -sign * slope, out);
 }
 
 /* H of the used rows, with the tip's tilt linearised at the predicted state: through the tilt gravity shows slow
@@ -463,7 +473,7 @@ static void find_shared_errors(const run *f, int64_t k, double *errors)
     for (int64_t r = 0; r < f->count; r++)
         errors[f->used[r]] = f->H[r * (n + 1) + n] * bend;
     for (int side = 0; side < 2; side++)
-        errors[Y_LEFT + side] += f->tip[side].gain * f->tip[side].per_roll_acceleration * roll;
+        errors[Y_LEFT + side] += f->tip[side].gain * f->tip[side].by.roll_acceleration * roll;
 }
 
 /* Replace the measurement by its prediction in the sensitivities that contain it, and that by one without errors which
@@ -536,7 +546,8 @@ static void find_innovation(run *f, int64_t k, double *out)
         int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (r >= 0) {
             out[r * width] += 2.0 * squared(f->linearised[ROLL_RATE]) * lift_of_tip(f, side);
-            out[r * width] -= 0.5 * vertical * slope * slope + (1.0 - 2.0 * side) * slope * f->expected[side].linear;
+            out[r * width] -= 0.5 * vertical * slope * slope +
+                              (1.0 - 2.0 * side) * slope * linear_form(f, side, &f->expected[side].by);
             if (roll) /* of the lateral force the Jacobian has the rigid one: here is the rest */
                 out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope + f->expected[side].force;
         }
