@@ -81,19 +81,7 @@ _averages = kernel("stream_averages", RECORD, ARRAY, RECORD)
 
 
 def averages(samples: StreamSamples, edges_ns: Ints) -> EpochAverages:
-    """Averages of a stream over epochs.
-
-    Parameters
-    ----------
-    samples : StreamSamples
-        Of one station.
-    edges_ns : (n + 1,) int64
-        Equally spaced.
-
-    Returns
-    -------
-    EpochAverages
-    """
+    """Averages of a stream over the epochs between equally spaced edges (n + 1,)."""
     n = len(edges_ns) - 1
     means = (np.empty((n, CHANNELS)), np.empty(n), np.empty(n))
     out = EpochAverages(*means, np.empty(n, np.bool_), np.empty(n, np.bool_))

@@ -83,6 +83,15 @@ def _believed(kalman: SeparatedBiasFilter) -> Floats:
     return np.eye(1, 1 + len(kalman.bias_parameters))[0]
 
 
+def _linearised(kalman: SeparatedBiasFilter, epochs: Epochs, at: Floats, first: int) -> tuple[Floats, Floats]:
+    """Innovations of both tips' rows from ``first`` on in epoch 5, and their derivative by the state, sign turned."""
+    const, model, _, _ = _kernel_arguments(kalman)
+    residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
+    residual[:, 0] = epochs.rows[5]
+    kernel_numpy._linearise(const, model, epochs, 5, at, _believed(kalman), residual, H)
+    return (residual[:, 0] - H @ at)[first : first + 2], H[first : first + 2]
+
+
 def _kernel_arguments(kalman: SeparatedBiasFilter) -> tuple[FilterConstants, DiscreteModel, FilterState, History]:
     return kalman._constants, kalman._discrete_model, kalman._filter_state, kalman.history
 
@@ -233,11 +242,7 @@ def test_the_slope_row_is_linear_in_the_state_as_its_derivative_says(missing: in
     state[kalman.layout.roll_rate], state[kalman.layout.roll_accel] = roll_radps, roll_accel
 
     def linearised(at: Floats) -> tuple[Floats, Floats]:
-        """Innovations of both slope rows, and their derivative by the state with its sign turned."""
-        residual = np.zeros((ROWS, 1 + len(kalman.bias_parameters)))
-        residual[:, 0], H = epochs.rows[5], model.H.copy()
-        kernel_numpy._linearise(const, model, epochs, 5, at, _believed(kalman), residual, H)
-        return (residual[:, 0] - H @ at)[Y_LEFT : Y_LEFT + 2], H[Y_LEFT : Y_LEFT + 2]
+        return _linearised(kalman, epochs, at, Y_LEFT)
 
     _, H = linearised(state)
     for i in range(size - 1):
@@ -260,7 +265,6 @@ def test_the_vertical_row_is_linear_in_a_state_that_bends_the_wing_far() -> None
     At 0.1 m of lift this is as large as what the tilt shows of the vertical force.
     """
     kalman = _filter()
-    _, model, _, _ = _kernel_arguments(kalman)
     epochs, layout = _epochs(kalman, 0.0), kalman.layout
     epochs = epochs._replace(rows=0.1 * epochs.rows, earlier_roll_radps2=np.full(STEPS, 2.0))
     state = np.zeros(layout.size + 1)
@@ -269,11 +273,7 @@ def test_the_vertical_row_is_linear_in_a_state_that_bends_the_wing_far() -> None
     state[layout.symmetric.v], state[layout.antisymmetric.v] = 1.5, 2.0
 
     def linearised(at: Floats) -> tuple[Floats, Floats]:
-        """Innovations of both vertical rows, and their derivative by the state with its sign turned."""
-        residual, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), model.H.copy()
-        residual[:, 0] = epochs.rows[5]
-        kernel_numpy._linearise(kalman._constants, model, epochs, 5, at, _believed(kalman), residual, H)
-        return (residual[:, 0] - H @ at)[Z_LEFT : Z_LEFT + 2], H[Z_LEFT : Z_LEFT + 2]
+        return _linearised(kalman, epochs, at, Z_LEFT)
 
     _, H = linearised(state)
     for i in range(layout.size):
