@@ -31,7 +31,7 @@ LOAD_VARIANCE_RATIO = 0.7  # chosen: variance of the wing's load per variance of
 MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
 MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below NIS_LIMIT over a second
 STRUCK_SIGMAS = 3.0  # chosen: of both tips' vertical rows, beside a root whose motion makes up half of their variance
-# chosen: three times what moving wings reach; a state beyond it is wrong, and the derivatives there drove it on
+# chosen: tips behind a petrol engine reach 0.38; a state beyond it is wrong, and the derivatives there drove it on
 MOST_TILT_RAD = 0.5
 _Array = TypeVar("_Array", bound=Any)
 _TRANSITIONS = 8  # derived: parameters change once a second, and a history holds little more than one second
