@@ -91,8 +91,7 @@ class WingTracker:
         self.contradiction.begin_anew()
         self._rare_gates = RareGates()
         self._body_rates.clear()
-        if self._start_ns is not None:
-            self._start_ns = self._next_ns
+        self._start_ns = None if self._start_ns is None else self._next_ns
 
     def add(self, batch: ImuBatch) -> list[Rejected]:
         """Take inertial samples; refusals with their reasons.
@@ -166,7 +165,8 @@ class WingTracker:
 
     def _until_line_work(self) -> int:
         """Number of epochs until loops share their turn, a search for lines begins, or its result is due."""
-        steps, every = self._next_ns // self._step_ns, self._turn_epochs * (1 if self._lines.follows else _TURNS)
+        often = self._lines.follows or self._settings.adapt  # fits then see late epochs as those that come in time
+        steps, every = self._next_ns // self._step_ns, self._turn_epochs * (1 if often else _TURNS)
         due = (steps // every + 1) * every
         return int((min(due, self._search_due) if self._lines.is_searching else due) - steps)
 
