@@ -77,20 +77,23 @@ static void find_outputs(forecast *f)
     }
 }
 
-/* State from the static bend, its covariance with that of the bias parameters, and the static bend's modal states. */
-static void find_start(forecast *f, double *gain)
+/* Deviation from the static bend, its covariance with what the bias parameters make of both, and the static bend's
+ * modal states. `sensitivity` (n, 1 + c) is [x | V] from the static bend's, `gain` (c,) room. */
+static void find_start(forecast *f, double *sensitivity, double *gain)
 {
-    int64_t n = f->n, c = f->width - 1;
-    double static_m = dot(f->x + f->states * f->width, f->one_and_bias, f->width);
+    int64_t n = f->n, width = f->width, c = width - 1;
+    const double *static_bend = f->x + f->states * width;
+    memcpy(sensitivity, f->x, (size_t)(n * width) * sizeof *sensitivity);
+    add_scaled(sensitivity + f->static_state * width, static_bend, -1.0, width);
     for (int64_t i = 0; i < n; i++) {
-        f->deviation[i] = dot(f->x + i * f->width, f->one_and_bias, f->width) - (i == f->static_state ? static_m : 0.0);
-        for (int64_t j = 0; j < c; j++)
-            gain[j] = 0.0;
+        f->deviation[i] = dot(sensitivity + i * width, f->one_and_bias, width);
+        memset(gain, 0, (size_t)c * sizeof *gain);
         for (int64_t k = 0; k < c; k++)
-            add_scaled(gain, f->bias_covariance + k * c, f->x[i * f->width + 1 + k], c);
+            add_scaled(gain, f->bias_covariance + k * c, sensitivity[i * width + 1 + k], c);
         for (int64_t j = 0; j < n; j++)
-            f->covariance[i * n + j] = f->P[i * f->states + j] + dot(gain, f->x + j * f->width + 1, c);
+            f->covariance[i * n + j] = f->P[i * f->states + j] + dot(gain, sensitivity + j * width + 1, c);
     }
+    double static_m = dot(static_bend, f->one_and_bias, width);
     for (int64_t i = 0; i < f->m; i++)
         f->static_modal[i] = f->modal_states[i] == f->static_state ? static_m : 0.0;
 }
@@ -159,7 +162,8 @@ static bool read_forecast(const indices_record *indices, const snapshot_record *
            extent(snapshot->bias_parameter_covariance, 0) == f->width - 1;
 }
 
-/* Modal coordinates and slope rates at all instants, (2, count, 2), and covariances, (2, count, 2, 2). */
+/* Modal coordinates and slope rates at all instants, (2, count, 2), and covariances, (2, count, 2, 2), of the modal
+ * coordinates from the static bend. */
 EXPORT int64_t forecast_run(const array *powers_in, const array *noise_in, const array *slope_in,
                             const indices_record *indices, const snapshot_record *snapshot, const array *values_out,
                             const array *spread_out)
@@ -171,7 +175,7 @@ EXPORT int64_t forecast_run(const array *powers_in, const array *noise_in, const
         extent(values_out, 1) != f.count || extent(spread_out, 1) != f.count)
         return BAD_ARRAY;
     int64_t m = f.m, n = f.n, count = f.count;
-    size_t room = (size_t)(OUTPUTS * m + m + n + n * n + 2 * OUTPUTS * n + OUTPUTS * m * count + f.width);
+    size_t room = (size_t)(OUTPUTS * m + m + n + n * n + 2 * OUTPUTS * n + OUTPUTS * m * count + (n + 1) * f.width);
     f.outputs = calloc(room, sizeof(double));
     if (!f.outputs)
         return NO_MEMORY;
@@ -182,7 +186,8 @@ EXPORT int64_t forecast_run(const array *powers_in, const array *noise_in, const
     f.projected = f.rows + OUTPUTS * n;
     f.outputs_noise = f.projected + OUTPUTS * n;
     find_outputs(&f);
-    find_start(&f, f.outputs_noise + OUTPUTS * m * count);
+    double *sensitivity = f.outputs_noise + OUTPUTS * m * count;
+    find_start(&f, sensitivity, sensitivity + n * f.width);
     multiply(f.outputs, f.noise, OUTPUTS, m, m * count, f.outputs_noise);
     for (int64_t k = 0; k < count; k++)
         predict(&f, k, values, spread);

@@ -14,11 +14,12 @@ from companion.core.tracking.file_check import FileCheck
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import WingParameters, stationary
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_parameters
+from companion.core.tracking.prediction import Forecast
 from companion.core.tracking.states import StateLayout, make_layout
 from companion.core.tracking.tracker import WingTracker
 from companion.core.tracking.validity import classify_validity
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, Floats, Notice, Reject, Station, Tick, Validity
+from companion.records import Axis, ClockName, Floats, ModeState, Notice, Reject, Station, Tick, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
@@ -223,15 +224,14 @@ def test_the_level_of_a_sine_is_its_amplitude_over_root_two(amplitude_m: float) 
     assert state.antisymmetric.rms_m < 0.1 * amplitude_m
 
 
-def test_an_unknown_trim_bend_is_no_uncertainty_of_the_swing() -> None:
-    """With vertical axes alone nobody knows how far the wing is bent at rest, and everybody sees how far it swings."""
+def _swinging_by_vertical_axes(trim_sigma_m: float) -> tuple[WingTracker, ModeState]:
+    """Tracker of a wing that swings by 3 mm at 5 Hz, whose trim bend is known so well, and its state after 6 s."""
     airframe = plain_airframe()
-    trim_m = 0.02
-    unknown = dataclasses.replace(airframe.wing.trim_bend_m, sigma=trim_m)
-    wing = dataclasses.replace(airframe.wing, trim_bend_m=unknown)
+    trim = dataclasses.replace(airframe.wing.trim_bend_m, sigma=trim_sigma_m)
     sensors = {
         name: dataclasses.replace(airframe.sensor(Station[name.upper()]), sends="z") for name in ("left", "right")
     }
+    wing = dataclasses.replace(airframe.wing, trim_bend_m=trim)
     tracker = WingTracker(dataclasses.replace(airframe, wing=wing, **sensors), Settings())
     t_ns, values = swinging(6.0, 0.003)
     for station in Station:
@@ -239,9 +239,29 @@ def test_an_unknown_trim_bend_is_no_uncertainty_of_the_swing() -> None:
         tracker.add(dataclasses.replace(batch(station, t_ns, values[station]), axes=axes))
     state = tracker.advance(int(t_ns[-1]) + 20 * MS)
     assert state is not None
+    return tracker, state
+
+
+def test_an_unknown_trim_bend_is_no_uncertainty_of_the_swing() -> None:
+    """With vertical axes alone nobody knows how far the wing is bent at rest, and everybody sees how far it swings."""
+    trim_m = 0.02
+    _, state = _swinging_by_vertical_axes(trim_m)
     swing = state.symmetric
     assert swing.amplitude_m == pytest.approx(0.003, rel=0.1)
     assert swing.amplitude_sigma_m < 0.001
     assert swing.phase_sigma_rad < 0.25
     assert swing.swings
     assert state.q_sigma_m[0] > 0.5 * trim_m, "the deflection itself stays unknown by its trim"
+
+
+def test_an_unknown_trim_bend_is_not_predicted_to_swing() -> None:
+    """An error of the static bend stays what it is: a quarter of a period on it is no slope rate."""
+    sigmas = []
+    for trim_m in (0.0002, 0.02):
+        tracker, state = _swinging_by_vertical_axes(trim_m)
+        ahead = tracker.forecast(60 * MS, MS)
+        assert isinstance(ahead, Forecast)
+        sigmas.append(math.sqrt(float(ahead.slope_rate_covariance[-1, 0, 0])))
+    slope_radpm = plain_airframe().wing.symmetric.slope_factor_radpm.value
+    by_a_swing_radps = 2.0 * math.pi * state.symmetric.frequency_hz * 0.02 * slope_radpm
+    assert sigmas[1] < sigmas[0] + 0.1 * by_a_swing_radps

@@ -24,6 +24,7 @@ class Forecast:
     q_m : (n, 2) float64
         Symmetric and antisymmetric modal coordinate, trim bend included.
     q_covariance : (n, 2, 2) float64
+        With the symmetric one measured from the static bend, whose own error turns no camera.
     slope_rate_radps : (n, 2) float64
         Rate of the left and right tip slope, all modes included.
     slope_rate_covariance : (n, 2, 2) float64
@@ -139,6 +140,7 @@ def run_ahead(
     """Modal coordinates and slope rates at all instants, (2, k, 2), and covariances, (2, k, 2, 2).
 
     Modal states follow from the state by ``transition_powers`` (m, k, n), with process covariance ``noise`` (m, m, k).
+    The modal coordinates' covariance is that of their deviation from the static bend.
     """
     count = transition_powers.shape[1]
     values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))

@@ -28,12 +28,14 @@ def run_ahead(
     """Modal coordinates and slope rates at all instants, (2, k, 2), and covariances, (2, k, 2, 2).
 
     Modal states follow from the state by ``transition_powers`` (m, k, n), with process covariance ``noise`` (m, m, k).
+    The modal coordinates' covariance is that of their deviation from the static bend.
     """
     m, count, n = transition_powers.shape
     static_state = np.zeros(n)
     static_state[indices.static] = snapshot.state_and_sensitivity[-1] @ snapshot.one_and_bias
-    deviation = snapshot.state_and_sensitivity[:n] @ snapshot.one_and_bias - static_state
-    bias_sensitivity = np.ascontiguousarray(snapshot.state_and_sensitivity[:n, 1:])
+    from_static = snapshot.state_and_sensitivity[:n].copy()
+    from_static[indices.static] -= snapshot.state_and_sensitivity[-1]
+    deviation, bias_sensitivity = from_static @ snapshot.one_and_bias, from_static[:, 1:]
     covariance = (
         snapshot.covariance[:n, :n] + bias_sensitivity @ snapshot.bias_parameter_covariance @ bias_sensitivity.T
     )
