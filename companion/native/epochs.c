@@ -154,8 +154,8 @@ static void find_present(const averages *station, const motion *m, int64_t k, ui
     for (int side = 0; side < 2; side++) {
         const uint8_t *sends = m->sends + (1 + side) * CHANNELS;
         bool tip = station[1 + side].covered[k];
-        present[Y_LEFT + side] = tip && root && sends[LATERAL];
         present[Z_LEFT + side] = tip && root && sends[VERTICAL];
+        present[Y_LEFT + side] = present[Z_LEFT + side] && sends[LATERAL]; /* it is divided by the vertical force */
         present[M_LEFT + side] = present[Z_LEFT + side] && m->steady[k] && station[1 + side].resolved[k];
         present[P_LEFT + side] = tip && sends[ROLL];
     }
@@ -164,8 +164,7 @@ static void find_present(const averages *station, const motion *m, int64_t k, ui
 /* Inverse vertical specific force, signed for the side; removes the slope row in free fall. */
 static double lateral_gain(const motion *m, int64_t k, int side, uint8_t *present)
 {
-    /* a tip without a vertical axis cannot say by what its lateral axis is to be divided: the rigid force does */
-    double force = present[Z_LEFT + side] ? m->tip[side][k * CHANNELS + 2] : m->rigid[side][3 * k + 2];
+    double force = m->tip[side][k * CHANNELS + 2];
     if (fabs(force) < MIN_FORCE_MPS2) {
         present[Y_LEFT + side] = false;
         force = -GRAVITY_MPS2;
@@ -388,7 +387,7 @@ static double *make_room(int64_t n, motion *m, averages *station)
     return room;
 }
 
-/* Epochs between n + 1 edges from the streams of root, left and right tip. `columns` (3, 9): of each error of each
+/* Epochs between n + 1 edges from the streams of root, left and right tip. `columns` (3, ERRORS): of each error of each
  * sensor in the Jacobian, -1 where absent; the arrays of `record` have n epochs. */
 EXPORT int64_t epochs_build(const stream_record *root, const stream_record *left, const stream_record *right,
                             const array *edges_in, const array *sends_in, const array *levers_in,

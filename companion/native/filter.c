@@ -308,7 +308,6 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     const double *lifts = f->linearised + MODES + side;
     const double *expected_of_other = f->linearised + MODES + 1 - side + 4;
     int64_t squares = f->ranks * f->ranks;
-    bool measured = f->position[Z_LEFT + side] >= 0; /* without the acceleration nothing is known of the way inboard */
     const double *K = f->shortening_pm + side * squares;
     double lowest = shortening_factor(f, f->constants->shortening_column);
     double further = shortening_factor(f, f->constants->further_shortening_column);
@@ -327,7 +326,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
         double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
-            double believed = measured ? K[a * f->ranks + b] : 0.0, factor = a || b ? further : lowest;
+            double believed = K[a * f->ranks + b], factor = a || b ? further : lowest;
             double shortening = factor * believed, by_instruments = instruments[b] * mean_lift;
             *(a || b ? &tip.per_further_shortening : &tip.per_shortening) -=
                 believed * (by_instruments + (rates[b] + inside[b]) * rates[a]);
@@ -352,7 +351,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     tip.by.roll_acceleration += height;
     /* half a step of each is in its rate */
     for (int64_t b = 0; b < f->ranks; b++) {
-        tip.by.acceleration[b] += step_s * ((measured ? 0.0 : p) - by_rates[b]);
+        tip.by.acceleration[b] -= step_s * by_rates[b];
         by_sum += share.own[b] * tip.by.acceleration[b];
     }
     for (int64_t b = 0; b < f->ranks; b++) {

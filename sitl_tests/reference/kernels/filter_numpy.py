@@ -331,7 +331,7 @@ def _moving_tip(
     p_row, a_row = model.linearisation_rows[4:6]
     lift, rate, accel = np.stack([linearised[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1)
     p, p_dot = float(linearised[4]), float(linearised[5])
-    believed = const.shortening_pm[side] * bool(epochs.present[k, Z_LEFT + side])
+    believed = const.shortening_pm[side]
     factors = _shortening_factors(const, one_and_bias)
     K = believed * factors
     slope = float(linearised[side])
@@ -355,8 +355,7 @@ def _moving_tip(
     along = mean_lift @ K @ accel + rate @ K @ rate + rate @ inside
     inward = np.outer(mean_lift, instruments) + np.outer(rate, rate + inside_mps)
     by_lowest, by_all = float(believed[0, 0] * inward[0, 0]), float(np.sum(believed * inward))
-    half_a_step = 0.0 if epochs.present[k, Z_LEFT + side] else p  # of it is in the rate
-    per_accel = step_s * (half_a_step - by_rate) - lift @ K
+    per_accel = -step_s * by_rate - lift @ K
     apart = per_accel - of_this @ per_accel
     variance, blow_variance = (float(apart @ C @ apart) for C in (covariance, model.lift_acceleration_covariance[2]))
     per_accel = per_accel - 2.0 * quarter_s2 * by_lift

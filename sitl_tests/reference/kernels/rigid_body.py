@@ -211,8 +211,8 @@ def _present(averaged: _Averaged) -> Bools:
     present[:, P_ROOT] = root & averaged.sends[0, _ROLL]
     for side in range(2):
         covered_tip, sends = averaged.covered[1 + side], averaged.sends[1 + side]
-        present[:, Y_LEFT + side] = covered_tip & root & sends[_LATERAL]
         present[:, Z_LEFT + side] = covered_tip & root & sends[VERTICAL]
+        present[:, Y_LEFT + side] = present[:, Z_LEFT + side] & sends[_LATERAL]
         present[:, M_LEFT + side] = covered_tip & root & sends[VERTICAL] & averaged.resolved[side]
         present[:, P_LEFT + side] = covered_tip & sends[_ROLL]
     return present
@@ -269,8 +269,7 @@ def _lateral_gain(motion: SensedMotion, present: Bools) -> Floats:
     gains = np.empty((len(present), 2))
     for k in range(len(present)):
         for side in range(2):
-            # a tip without a vertical axis cannot say by what its lateral axis is to be divided: the rigid force does
-            force = motion.tip[k, side, 2] if present[k, Z_LEFT + side] else motion.rigid[k, side, 2]
+            force = motion.tip[k, side, 2]
             if np.abs(force) < _MIN_FORCE_MPS2:
                 present[k, Y_LEFT + side] = False
                 force = -GRAVITY_MPS2
