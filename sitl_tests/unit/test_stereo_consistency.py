@@ -9,7 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.core.stereo.consistency_gate import Innovation, MatchTest, MatchVerdict, RangeGate, range_slack_mps
+from companion.core.stereo.consistency_gate import (
+    Innovation,
+    MatchTest,
+    MatchVerdict,
+    RangeGate,
+    range_reject,
+    range_slack_mps,
+    withheld,
+)
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -320,6 +328,22 @@ def test_a_shift_that_one_pair_hardly_shows_adds_up(shift_sigmas: float, pairs: 
     """The sum grows by the shift less three quarters of a sigma a pair; far outliers open by their number."""
     for seed in range(20):
         assert MatchVerdict.KNOCKED in _verdicts(shift_sigmas, pairs, seed)
+
+
+RANGE = CorrectedRange(0, 0, PERIOD_NS, 25, 40.0, 0.5, 0.0, 1e-4, 40.0, 100, trusted=True, reject=None)
+
+
+def test_a_sigma_that_is_no_number_is_too_large() -> None:
+    assert range_reject(100, 40.0, 0.5, Settings()) is None
+    assert range_reject(100, 40.0, np.nan, Settings()) is Reject.SIGMA_TOO_LARGE
+
+
+def test_a_reason_of_the_pair_is_said_before_one_of_its_range() -> None:
+    """A contradicted tracker makes sigmas large: the operator is told of the tracker."""
+    wide = dataclasses.replace(RANGE, trusted=False, reject=Reject.SIGMA_TOO_LARGE)
+    assert withheld(wide, Reject.CONTRADICTED).reject is Reject.CONTRADICTED
+    assert withheld(wide, None) == wide
+    assert not withheld(RANGE, Reject.CONTRADICTED).trusted
 
 
 def test_one_outlier_is_an_outlier_and_is_granted_any_rotation() -> None:

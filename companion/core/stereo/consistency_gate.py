@@ -1,4 +1,4 @@
-"""Rules of trust: matches against the sensors, one range or obstacle by itself, a range against the ones before.
+"""Rules of trust of ranges: matches against the sensors, a range or obstacle by itself, or against earlier ones.
 
 A blow, a wrong stamp or an error of the tracker can turn a camera unnoticed. This shows in two ways. The matches leave
 an innovation: a rotation beyond the predicted one. And the range jumps. Either reopens the drift filter: the sigma of
@@ -263,7 +263,7 @@ def range_reject(matches: int, range_m: float, sigma_m: float, settings: Setting
         return Reject.NO_MATCHES
     if not settings.min_range_m <= range_m <= settings.max_range_m:
         return Reject.OUT_OF_RANGE
-    if sigma_m > settings.trust_ratio * range_m:
+    if not sigma_m <= settings.trust_ratio * range_m:  # NaN, too, is no sigma
         return Reject.SIGMA_TOO_LARGE
     return None
 
@@ -278,8 +278,8 @@ def ground_reject(on_ground: bool | None) -> Reject | None:
 
 
 def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
-    """The range, not trusted where there is a reason: the wing, the stamps or the matches."""
-    if reason is None or not measured.trusted:
+    """The range, not trusted where the wing, the stamps or the matches give a reason: that is named before its own."""
+    if reason is None:
         return measured
     return dataclasses.replace(measured, trusted=False, reject=reason)
 
