@@ -30,8 +30,13 @@ class OutputScheduler:
         describe: Callable[[], ModeState | None],
         validity: Validity | None,
         settings: Settings,
+        *,
+        synced: bool = True,
     ) -> list[OutputRecord]:
-        """The records that are due, given those just made; ``describe`` is asked for the mode when that is due."""
+        """The records that are due, given those just made; ``describe`` is asked for the mode when that is due.
+
+        ``synced`` is whether all clocks are: without a validity either they or samples are waited for.
+        """
         for record in fresh:
             if isinstance(record, CorrectedRange):
                 self._note(record, now_ns)
@@ -42,7 +47,7 @@ class OutputScheduler:
             outputs.append(mode)
         if now_ns - self.last_trusted_ns > _RANGE_STALE_NS and now_ns >= self.next_fill_ns:
             self.next_fill_ns = now_ns + int(1e9 / settings.publish_rate_hz)
-            outputs.append(NoRange(now_ns, self.orientation, self._reason(validity, now_ns)))
+            outputs.append(NoRange(now_ns, self.orientation, self._reason(validity, synced, now_ns)))
         return outputs
 
     def _note(self, measured: CorrectedRange, now_ns: int) -> None:
@@ -50,10 +55,10 @@ class OutputScheduler:
         if measured.trusted:
             self.last_trusted_ns = now_ns
 
-    def _reason(self, validity: Validity | None, now_ns: int) -> Reject:
+    def _reason(self, validity: Validity | None, synced: bool, now_ns: int) -> Reject:
         """Why there is no range now: what was said of an older one is no news."""
         if validity is None:
-            return Reject.CLOCK_UNSYNCED
+            return Reject.NOT_SETTLED if synced else Reject.CLOCK_UNSYNCED
         if validity is Validity.STALE:
             return Reject.STALE
         if self.last_reject is not None and now_ns - self.last_measured_ns <= _NEWS_NS:

@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.core.clock.motion_alignment import SIGMAS, lowpass_delay_s
 from companion.core.pipeline_state import PipelineState, start
-from companion.core.pipeline_status import status, tracked, unlearned
+from companion.core.pipeline_status import status, tracked, unlearned, unsynced_clocks
 from companion.core.silence import TELLING
 from companion.core.stereo.consistency_gate import RANGE_MEMORY_NS
 from companion.core.stereo.vehicle_motion import velocity_of
@@ -306,7 +306,10 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state, now_ns), now_ns)
     if state.correction is not None:
         outputs += state.correction.due(state.tracker, now_ns)
-    outputs += state.output_scheduler.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
+    synced = state.validity is not None or not unsynced_clocks(state, now_ns)
+    outputs += state.output_scheduler.tick(
+        now_ns, outputs, state.tracker.describe, state.validity, state.settings, synced=synced
+    )
     if state.correction is not None and state.validity is not None:
         state.silence.tick(now_ns, usable=tracked(state) and unlearned(state) is None)
     if now_ns >= state.next_status_ns:

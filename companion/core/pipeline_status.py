@@ -30,8 +30,13 @@ def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
     return sorted(names - {ClockName.HOST})
 
 
+def unsynced_clocks(state: PipelineState, now_ns: int) -> list[str]:
+    """Names of the clocks that the airframe's sensors have and that are not synced."""
+    return [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name, now_ns).synced]
+
+
 def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
-    unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name, now_ns).synced]
+    unsynced = unsynced_clocks(state, now_ns)
     if state.validity is None:
         return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
     if unsynced:
@@ -52,7 +57,7 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
 
 
 def tracked(state: PipelineState) -> bool:
-    """Whether the wing is known well enough for ranges."""
+    """Whether the wing is known well enough to plan shots, and so for ranges to come."""
     return state.validity in (Validity.TRACKING, Validity.CALM)
 
 

@@ -218,6 +218,13 @@ def reasons(scheduler: OutputScheduler, validity: Validity, seconds: range) -> l
     return [output.reject for group in outputs for output in group if isinstance(output, NoRange)]
 
 
+@pytest.mark.parametrize(("synced", "reason"), [(False, Reject.CLOCK_UNSYNCED), (True, Reject.NOT_SETTLED)])
+def test_before_the_first_samples_a_clock_is_blamed_only_if_it_is_not_synced(synced: bool, reason: Reject) -> None:
+    (output,) = OutputScheduler(DOWN).tick(10 * S, [], nothing, None, Settings(), synced=synced)
+    assert isinstance(output, NoRange)
+    assert output.reject is reason
+
+
 def test_without_cameras_the_reason_for_no_range_is_not_the_tracker() -> None:
     scheduler = OutputScheduler(DOWN)
     assert reasons(scheduler, Validity.SETTLING, range(10, 12)) == [Reject.NOT_SETTLED] * 2
