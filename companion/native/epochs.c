@@ -15,7 +15,7 @@
 #define TILT_FOR_LATERAL_ERROR 0.05 /* chosen, rad: tip slope by which a lateral error enters a vertical row */
 
 enum { LATERAL = 1, ROLL = 3 };                              /* channels */
-enum { KZ, KY, KP, MX, MY, MZ, TAU, HEIGHT, BP, BR, ERRORS }; /* in error_jacobians.py's order */
+enum { KZ, KY, KP, MX, MY, MZ, TAU, HEIGHT, BP, BR, ERRORS }; /* in the order of sensor_errors.py */
 enum { SLOTS = 6 + 6 + 2 * (6 + 6 + 3 + 3) + 3 };   /* doubles per epoch in a motion */
 
 /* Density of the root's accelerometer, and usual change by smoothing: vertical, lateral force, roll rate. */

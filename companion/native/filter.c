@@ -496,8 +496,8 @@ static void regress_on_prediction(run *f, int64_t k, double *out)
         int64_t at = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
         if (at < 0)
             continue;
-        const double *tilt = f->linearisation_rows + side * (f->h.n + 1);
-        double excess = f->linearised[side] * f->row_innovation[Z_LEFT + side], residual = out[at * width];
+        const double *tilt = f->linearisation_rows + (SLOPES + side) * (f->h.n + 1);
+        double excess = f->linearised[SLOPES + side] * f->row_innovation[Z_LEFT + side], residual = out[at * width];
         int64_t count = find_entries(f, tilt, -excess, f->h.n + 1);
         add_selected(out + at * width, width, f->x, f->entry, f->factor, count);
         out[at * width] = residual;
@@ -970,6 +970,9 @@ static bool read_epochs(const epochs_record *record, int64_t last, run *f)
     f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
     f->root_vibrates = truths(record->root_vibrates, 1, &good);
     return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+           extent(record->vertical_mps2, 0) >= last && extent(record->lateral_mps2, 0) >= last &&
+           extent(record->slope_rate_gain, 0) >= last && extent(record->lateral_gain, 0) >= last &&
+           extent(record->load_g, 0) >= last && extent(record->aliasing_noise, 0) >= last &&
            extent(record->root_vibrates, 0) >= last &&
            extent(record->body_rate_radps, 0) >= last && extent(record->body_rate_radps, 1) == 3 &&
            extent(record->earlier_roll_radps2, 0) >= last && extent(record->earlier_load_g, 0) >= last &&
@@ -1041,9 +1044,10 @@ EXPORT int64_t smoother_backward(const history_record *past, int64_t first, int6
         !has_shape(next_out, h.n, h.width, -1) || !has_shape(information_out, h.n, h.n, -1) || first < 0)
         return BAD_ARRAY;
     int64_t n = h.n, width = h.width;
-    double *closed = malloc((size_t)(2 * n * n) * sizeof *closed), *product = closed + n * n;
+    double *closed = malloc((size_t)(2 * n * n) * sizeof *closed);
     if (!closed)
         return NO_MEMORY;
+    double *product = closed + n * n;
     memset(adjoint, 0, (size_t)(n * width) * sizeof *adjoint);
     memset(next, 0, (size_t)(n * width) * sizeof *next);
     memset(W, 0, (size_t)(n * n) * sizeof *W);
