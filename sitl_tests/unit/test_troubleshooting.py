@@ -47,7 +47,6 @@ def test_a_sentence_that_is_not_printed_is_noticed() -> None:
 COUNTED_ALONE = {
     Reject.NO_MODE,
     Reject.EXCITATION_LOW,
-    Reject.MODE_AMBIGUOUS,
     Reject.BEYOND_RANGE,
     Reject.LAPSED,
     Reject.TOO_LATE,

@@ -11,7 +11,7 @@ from companion.core.tracking.states import P_LEFT, StateLayout
 from companion.records import Floats
 
 _PERIOD_S = 1.0  # chosen: between looks
-_LOOKS = 11  # chosen: ten seconds, in which a drift that is slower moves the slope by less than its sigma
+_LOOKS = 10  # chosen: ten seconds, in which a drift that is slower moves the slope by less than its sigma
 _MOST_SIGMAS = 8.0  # chosen, of the change by random walk and uncertainty: manoeuvres and vibration reach 3
 
 

@@ -73,7 +73,7 @@ class Contradiction:
 
     @property
     def lasting(self) -> bool:
-        """Whether starting again, and once more, has not helped, nor ten seconds passed without a contradiction."""
+        """Whether it held before and after a start of the filter, and ten seconds without have not passed."""
         return self._starts >= _AGAIN_AND_AGAIN
 
     @property

@@ -44,9 +44,9 @@ def kernel_model(
 def _linearisation_rows(layout: StateLayout, model: DiscreteWingModel) -> Floats:
     """Rows (r, n + 1) on the state before a step that give what the measurement is linearised at.
 
-    Slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes lifts there,
-    lift rates as it begins and expected lift accelerations; then the change of each tip's slope and slope rate with its
-    slope factors.
+    Slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes lifts,
+    extrapolated to there by the rates as it begins, these rates, and expected lift accelerations; then the change of
+    each tip's slope and slope rate with its slope factors.
     """
     ahead, now = model.transition, np.eye(layout.size, layout.size + 1)
     middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s

@@ -13,10 +13,11 @@ sensors deliver:
 - roll rate: mean slope rate ``(psi1 - psi0) / h``, exactly, on top of the rigid roll rate.
 
 All are linear in the state before and after the step: ``z = H1 x1 + H0 x0 + noise`` with ``x1 = A x0 + b u + w``. The
-rigid roll jerk is white: its density gives a roll acceleration of 3 rad/s^2 below 5 Hz, far more than the gyros leave
-open, and yet smooth. A white acceleration would be unphysical, and a vertical-only antisymmetric mode would drown in
-the root gyro's differentiated noise. The acceleration itself fades as slowly as a manoeuvre: one that fades at 5 Hz is
-predicted 6 % too small in the middle of the next step, and of Euler's force on a wing of 41 mm trim these are 2.5 mm.
+rigid roll jerk is white: its density lets the acceleration change by 3 rad/s^2 (one sigma) in 16 ms, far more than the
+gyros leave open, and yet smooth. A white acceleration would be unphysical, and a vertical-only antisymmetric mode would
+drown in the root gyro's differentiated noise. The acceleration itself fades as slowly as a manoeuvre: one that fades at
+5 Hz is predicted 6 % too small in the middle of the next step, and of Euler's force on a wing of 41 mm trim these are
+2.5 mm.
 """
 
 from __future__ import annotations

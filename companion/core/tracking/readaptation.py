@@ -19,7 +19,7 @@ from companion.params.airframe import Wing
 from companion.records import Floats
 
 _CREDIBLE_SIGMAS = 5.0  # chosen: of the prior; a jump of the lateral force on lifting off gave a scale of 30
-_SEGMENTS = 5  # chosen: of 40 ms each; filtered in one stage, in less than 1 ms
+_SEGMENTS = 5  # chosen: of 40 ms each, late ones of up to 0.1 s; filtered in one stage
 
 
 class NewParameters(NamedTuple):

@@ -70,7 +70,7 @@ def sensitivities(motion: SensedMotion, gains: Floats, present: Bools, columns: 
         ``Epochs.lateral_gain``.
     present : (n, 9) bool
         Rows that were measured.
-    columns : (3, 9) int64
+    columns : (3, e) int64
         From :func:`error_columns`.
     count : int
         Number of bias parameters c.
@@ -142,7 +142,7 @@ def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
     """Rigid roll rate as the root measured it some epochs earlier, less the present measurement, (n,).
 
     The innovations of tip and root are taken out of the regressor: bending rate and earlier roll rate are left. The
-    state's roll rate is as noisy as 3 rad/s^2 of roll acceleration allow, which few aircraft have: on that noise,
+    state's roll rate is as noisy as the density of the roll jerk allows, which few aircraft have: on that noise,
     which the innovations are full of, no scale may be regressed.
     """
     p = motion.omega[:, :1]
