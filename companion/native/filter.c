@@ -27,8 +27,8 @@ typedef struct {
         *bias_projection;
     int64_t common_bias_column;
     const array *slope_factor_rows, *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources,
-        *regressor_signs, *lever_m, *shortening_pm;
-    int64_t shortening_column, further_shortening_column;
+        *regressor_signs, *lever_m, *foreshortening_pm;
+    int64_t foreshortening_column, further_foreshortening_column;
     const array *height_column;
 } constants_record;
 
@@ -58,7 +58,7 @@ typedef struct {
 typedef struct {
     double force;
     force_derivatives by;
-    double per_shortening, per_further_shortening; /* by relative errors of the way inboard */
+    double per_foreshortening, per_further_foreshortening; /* by its relative errors */
     double rest;          /* what a linear form of these leaves of the slope row */
     double gain;          /* what a unit of force adds to the row */
     double variance;      /* by accelerations that the measured sums do not tell apart */
@@ -81,7 +81,7 @@ typedef struct {
  * `position` each row's place among them (-1: absent); the scratch matrices hold the used rows. */
 typedef struct {
     const constants_record *constants;
-    const double *sensor_variance, *bias_projection, *regressor_signs, *lever_m, *shortening_pm;
+    const double *sensor_variance, *bias_projection, *regressor_signs, *lever_m, *foreshortening_pm;
     const int64_t *height_column; /* 0 where a tip's height is certain */
     const int64_t *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state, *slope_factor_rows,
         *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources;
@@ -224,8 +224,8 @@ static double height_of_tip(const run *f, int side)
     return f->height_column[side] ? f->one_and_bias[f->height_column[side]] : 0.0;
 }
 
-/* Estimated over believed way inboard. */
-static double shortening_factor(const run *f, int64_t column)
+/* Estimated over believed foreshortening. */
+static double foreshortening_factor(const run *f, int64_t column)
 {
     return column ? 1.0 + f->one_and_bias[column] : 1.0;
 }
@@ -271,9 +271,9 @@ static void add_derivatives(const run *f, int side, const force_derivatives *by,
 static expected_force find_expected_force(const run *f, int64_t k, int side)
 {
     const double *lifts = f->linearised + MODES + side, *rates = lifts + 2, *accelerations = lifts + 4;
-    const double *K = f->shortening_pm + side * f->ranks * f->ranks;
-    double lowest = shortening_factor(f, f->constants->shortening_column);
-    double further = shortening_factor(f, f->constants->further_shortening_column);
+    const double *kappa = f->foreshortening_pm + side * f->ranks * f->ranks;
+    double lowest = foreshortening_factor(f, f->constants->foreshortening_column);
+    double further = foreshortening_factor(f, f->constants->further_foreshortening_column);
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2];
     double raised = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
@@ -287,11 +287,11 @@ static expected_force find_expected_force(const run *f, int64_t k, int side)
         of.by.rate[i] += 2.0 * p;
         for (int64_t j = 0; j < f->ranks; j++) {
             int64_t b = j * EACH_RANK;
-            double shortening = (i || j ? further : lowest) * K[i * f->ranks + j];
-            of.force -= shortening * (lifts[a] * accelerations[b] + rates[a] * rates[b]);
-            of.by.lift[i] -= shortening * accelerations[b];
-            of.by.rate[i] -= 2.0 * shortening * rates[b];
-            of.by.acceleration[j] -= shortening * lifts[a];
+            double foreshortening = (i || j ? further : lowest) * kappa[i * f->ranks + j];
+            of.force -= foreshortening * (lifts[a] * accelerations[b] + rates[a] * rates[b]);
+            of.by.lift[i] -= foreshortening * accelerations[b];
+            of.by.rate[i] -= 2.0 * foreshortening * rates[b];
+            of.by.acceleration[j] -= foreshortening * lifts[a];
         }
     }
     of.force += (p_dot + turning) * raised;
@@ -302,21 +302,21 @@ static expected_force find_expected_force(const run *f, int64_t k, int side)
 }
 
 /* Motion of a tip in the turning body: Coriolis', Euler's and centripetal force by its lift w, and that of the bent
- * wing's tip, which moves inboard by half of K w^2. */
+ * wing's tip, whose foreshortening is half of kappa w^2. */
 static moving_tip find_moving_tip(const run *f, int64_t k, int side)
 {
     const double *lifts = f->linearised + MODES + side;
     const double *expected_of_other = f->linearised + MODES + 1 - side + 4;
     int64_t squares = f->ranks * f->ranks;
-    const double *K = f->shortening_pm + side * squares;
-    double lowest = shortening_factor(f, f->constants->shortening_column);
-    double further = shortening_factor(f, f->constants->further_shortening_column);
+    const double *kappa = f->foreshortening_pm + side * squares;
+    double lowest = foreshortening_factor(f, f->constants->foreshortening_column);
+    double further = foreshortening_factor(f, f->constants->further_foreshortening_column);
     rank_shares share = find_shares(f, side);
     double p = f->linearised[ROLL_RATE], p_dot = f->linearised[ROLL_ACCELERATION];
     double slope = f->linearised[SLOPES + side], sign = 1.0 - 2.0 * side;
     double turning = -f->body_rate_radps[3 * k + 1] * f->body_rate_radps[3 * k + 2], across = p_dot + turning;
     double accelerations[MAX_RANKS], instruments[MAX_RANKS], rates[MAX_RANKS], inside[MAX_RANKS];
-    double by_rates[MAX_RANKS], by_lifts[MAX_RANKS], inboard = 0.0;
+    double by_rates[MAX_RANKS], by_lifts[MAX_RANKS], by_foreshortening = 0.0;
     double step_s = f->constants->step_s, quarter = 0.25 * step_s * step_s, by_sum = 0.0;
     find_lift_rates(f, k, side, share, accelerations, rates, inside);
     find_instruments(f, k, side, share, accelerations, instruments);
@@ -326,15 +326,15 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         /* a lift that makes its product with the acceleration, beside the rates', the change of w w' over the step */
         double mean_lift = lift + quarter * (accelerations[a] - 2.0 * inside[a] / step_s);
         for (int64_t b = 0; b < f->ranks; b++) {
-            double believed = K[a * f->ranks + b], factor = a || b ? further : lowest;
-            double shortening = factor * believed, by_instruments = instruments[b] * mean_lift;
-            *(a || b ? &tip.per_further_shortening : &tip.per_shortening) -=
+            double believed = kappa[a * f->ranks + b], factor = a || b ? further : lowest;
+            double foreshortening = factor * believed, by_instruments = instruments[b] * mean_lift;
+            *(a || b ? &tip.per_further_foreshortening : &tip.per_foreshortening) -=
                 believed * (by_instruments + (rates[b] + inside[b]) * rates[a]);
-            by_lift += shortening * accelerations[b];
-            by_instrument += shortening * instruments[b];
-            by_rate += shortening * rates[b];
-            by_moment += shortening * inside[b];
-            tip.by.acceleration[b] -= shortening * lift;
+            by_lift += foreshortening * accelerations[b];
+            by_instrument += foreshortening * instruments[b];
+            by_rate += foreshortening * rates[b];
+            by_moment += foreshortening * inside[b];
+            tip.by.acceleration[b] -= foreshortening * lift;
         }
         by_rates[a] = by_rate;
         by_lifts[a] = by_lift;
@@ -343,7 +343,7 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         tip.by.rate[a] = 2.0 * p - 2.0 * by_rate - by_moment;
         tip.by.roll_rate += 2.0 * rates[a];
         tip.by.roll_acceleration += lift;
-        inboard -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
+        by_foreshortening -= by_lift * mean_lift + (by_rate + by_moment) * rates[a];
         tip.force += across * lift + 2.0 * p * rates[a];
     }
     double height = height_of_tip(f, side); /* the sensor's place in the turning body, beside the wing's lift */
@@ -375,8 +375,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
     /* the roll lifts the tips as well */
     tip.by.roll_acceleration += tip.per_measured * f->lever_m[side] + tip.per_other * f->lever_m[1 - side];
     /* the measured acceleration has what the tilt shows of all this */
-    inboard -= tip.per_measured * sign * slope * (tip.force + inboard);
-    tip.force += inboard;
+    by_foreshortening -= tip.per_measured * sign * slope * (tip.force + by_foreshortening);
+    tip.force += by_foreshortening;
     /* the row is the arc tangent of all lateral force over the vertical one */
     double read = f->rows[k * ROWS + Y_LEFT + side], gain = f->lateral_gain[2 * k + side];
     double all = tip.force + sign * f->lateral_mps2[2 * k + side]; /* by 1 / cos(slope), once it is turned */
@@ -520,8 +520,8 @@ static void add_acceleration_errors(const run *f, int64_t k, int side, double *o
             out[f->regressor_columns[j]] -= tip->gain * tip->force;
 }
 
-/* Sensitivity of a slope row (width,) to a relative error of the way inboard, whose estimate is in the row's rest. */
-static void add_shortening(const run *f, int64_t column, double sensitivity, double *out)
+/* Sensitivity of a slope row (width,) to a relative error of the foreshortening; its estimate is in the row. */
+static void add_foreshortening(const run *f, int64_t column, double sensitivity, double *out)
 {
     if (!column)
         return;
@@ -557,9 +557,10 @@ static void find_innovation(run *f, int64_t k, double *out)
             out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
             out[r * width] += f->tip[side].rest;
             const moving_tip *tip = &f->tip[side];
-            add_shortening(f, f->constants->shortening_column, -tip->gain * tip->per_shortening, out + r * width);
-            add_shortening(f, f->constants->further_shortening_column, -tip->gain * tip->per_further_shortening,
-                           out + r * width);
+            add_foreshortening(f, f->constants->foreshortening_column, -tip->gain * tip->per_foreshortening,
+                               out + r * width);
+            add_foreshortening(f, f->constants->further_foreshortening_column,
+                               -tip->gain * tip->per_further_foreshortening, out + r * width);
             if (f->constants->common_bias_column) /* of the tilt alone: the tip's force is over the measured one */
                 out[r * width + f->constants->common_bias_column] += slope / vertical;
             add_acceleration_errors(f, k, side, out + r * width);
@@ -909,12 +910,12 @@ static bool read_constants(const constants_record *record, run *f)
     f->regressor_sources = integers(record->regressor_sources, 1, &good);
     f->regressor_signs = reals(record->regressor_signs, 1, &good);
     f->lever_m = reals(record->lever_m, 1, &good);
-    f->shortening_pm = reals(record->shortening_pm, 3, &good);
-    f->ranks = extent(record->shortening_pm, 1);
+    f->foreshortening_pm = reals(record->foreshortening_pm, 3, &good);
+    f->ranks = extent(record->foreshortening_pm, 1);
     f->slope_factors = extent(record->slope_factor_rows, 0);
     f->regressors = extent(record->regressor_rows, 0);
     return good && extent(record->sensor_variance, 0) == ROWS && extent(record->bias_projection, 0) == 2 &&
-           extent(record->lever_m, 0) == 2 && has_shape(record->shortening_pm, 2, f->ranks, f->ranks) &&
+           extent(record->lever_m, 0) == 2 && has_shape(record->foreshortening_pm, 2, f->ranks, f->ranks) &&
            0 < f->ranks && f->ranks <= MAX_RANKS;
 }
 

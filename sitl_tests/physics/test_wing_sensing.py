@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from companion.core.wing.foreshortening import foreshortening_pm
 from companion.core.wing.model import WingModel
 from companion.core.wing.sensing import ModalPath, RigidMotion, lever_arm_mps2, sense_station
-from companion.core.wing.shortening import shortening_pm
 from companion.params.airframe import Gust, Mode, Uncertain, Wing
 from companion.records import Floats, Side
 
@@ -130,12 +130,12 @@ def test_a_bending_tip_in_a_rolling_body_is_a_point_that_moves_through_space(sid
 def test_a_bent_wing_shortens_by_more_than_a_straight_one_on_a_hinge() -> None:
     """A straight line's tip moves inboard by w^2 / 2 L, and by Schwarz' inequality no bent shape's by less."""
     for lever_m in (0.7, 2.5):
-        shortening = shortening_pm((0, 1, 2), lever_m)
-        assert np.all(np.diag(shortening) > 1.0 / lever_m)
-        assert np.all(np.linalg.eigvalsh(shortening) > 0.0)
+        foreshortening = foreshortening_pm((0, 1, 2), lever_m)
+        assert np.all(np.diag(foreshortening) > 1.0 / lever_m)
+        assert np.all(np.linalg.eigvalsh(foreshortening) > 0.0)
     # the integrals of phi_i' phi_j' of a uniform cantilever, by another's quadrature
-    assert shortening_pm((0, 1), 1.0) == pytest.approx(np.array([[1.1619, 1.8450], [1.8450, 8.1043]]), rel=1e-4)
-    assert not shortening_pm((0, 1), 0.0).any()
+    assert foreshortening_pm((0, 1), 1.0) == pytest.approx(np.array([[1.1619, 1.8450], [1.8450, 8.1043]]), rel=1e-4)
+    assert not foreshortening_pm((0, 1), 0.0).any()
 
 
 def _loaded_cantilever(mass_ratio: float) -> tuple[Floats, Floats]:
@@ -160,10 +160,10 @@ def test_a_tip_that_carries_mass_moves_inboard_as_its_slope_factors_say(mass_rat
     """The product of both modes by a fifth of the wing's mass is a third larger than without."""
     slopes, products = _loaded_cantilever(mass_ratio)
     lever_m = 0.8
-    shortening = lever_m * shortening_pm((0, 1), lever_m, slopes / lever_m)
-    assert shortening[0] == pytest.approx(products[0], rel=0.025)
-    assert shortening[1, 1] == pytest.approx(products[1, 1], rel=0.25)
-    uniform = lever_m * shortening_pm((0, 1), lever_m)
+    foreshortening = lever_m * foreshortening_pm((0, 1), lever_m, slopes / lever_m)
+    assert foreshortening[0] == pytest.approx(products[0], rel=0.025)
+    assert foreshortening[1, 1] == pytest.approx(products[1, 1], rel=0.25)
+    uniform = lever_m * foreshortening_pm((0, 1), lever_m)
     assert uniform[0, 1] == pytest.approx(products[0, 1] / (1.0 + 1.7 * mass_ratio), rel=0.02)
 
 

@@ -312,16 +312,16 @@ def test_each_part_of_the_way_inboard_has_its_own_relative_error() -> None:
     epochs = epochs._replace(earlier_roll_radps2=np.full(STEPS, state[kalman.layout.roll_accel]))
     assert {"shortening", "further_shortening"} < set(parameters)
 
-    def innovation(shortening_pm: Floats) -> Floats:
+    def innovation(foreshortening_pm: Floats) -> Floats:
         """Slope rows (2, 1 + c) less their prediction, and the derivatives of that by the bias parameters."""
         residual, H = np.zeros((ROWS, 1 + len(parameters))), model.H.copy()
         residual[:, 0] = epochs.rows[5]
-        varied = const._replace(shortening_pm=shortening_pm)
+        varied = const._replace(foreshortening_pm=foreshortening_pm)
         kernel_numpy._linearise(varied, model, epochs, 5, state, _believed(kalman), residual, H)
         residual[:, 0] -= H @ state
         return residual[Y_LEFT : Y_LEFT + 2]
 
-    K, small = const.shortening_pm, 1e-3
+    K, small = const.foreshortening_pm, 1e-3
     lowest = K * np.pad([[1.0]], (0, len(K[0]) - 1))
     for name, varied_pm in (("shortening", lowest), ("further_shortening", K - lowest)):
         quotient = (innovation(K + small * varied_pm) - innovation(K - small * varied_pm))[:, 0] / (2.0 * small)
@@ -370,12 +370,12 @@ def test_rows_are_linear_about_the_estimated_way_inboard() -> None:
     const, model, state, history = _kernel_arguments(estimated)
     epochs = _epochs(estimated, 0.0)
     epochs = epochs._replace(rows=0.1 * epochs.rows, sensitivity=np.zeros_like(epochs.sensitivity))
-    factors = np.full(const.shortening_pm.shape[1:], 0.8)
+    factors = np.full(const.foreshortening_pm.shape[1:], 0.8)
     factors[0, 0] = 1.2
-    state.one_and_bias[[const.shortening_column, const.further_shortening_column]] = 0.2, -0.2
+    state.one_and_bias[[const.foreshortening_column, const.further_foreshortening_column]] = 0.2, -0.2
     assert kernel_loops.filter_epochs(const, model, epochs, state, history, 0, STEPS, 0)
     const, model, state_of_filed, history_of_filed = _kernel_arguments(filed)
-    const = const._replace(shortening_pm=const.shortening_pm * factors)
+    const = const._replace(foreshortening_pm=const.foreshortening_pm * factors)
     assert kernel_loops.filter_epochs(const, model, epochs, state_of_filed, history_of_filed, 0, STEPS, 0)
     sigma = np.sqrt(np.diag(filed.covariance))
     assert np.abs((estimated.state - filed.state) / sigma).max() < 0.01
@@ -450,7 +450,7 @@ def _swinging(kalman: SeparatedBiasFilter, state: Floats, side: int, scale: floa
         path.append(fine @ path[-1])
     w, rate = np.array(path)[:, [layout.symmetric.q, layout.symmetric.q + 1]].T
     slope = kalman.model.slope[side, layout.symmetric.q] * 0.5 * (w[1:] + w[:-1])
-    K, sign, step_s = const.shortening_pm[side, 0, 0], 1.0 - 2.0 * side, STEP_S / FINE
+    K, sign, step_s = const.foreshortening_pm[side, 0, 0], 1.0 - 2.0 * side, STEP_S / FINE
     across = LATERAL_MPS2 - K * np.diff(w * rate) / step_s
     up = -GRAVITY_MPS2 - np.diff(rate) / step_s
     y = across * np.cos(slope) + sign * up * np.sin(slope)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from companion.core.tracking.tracker import WingTracker
-from companion.core.wing.shortening import shortening_pm
+from companion.core.wing.foreshortening import foreshortening_pm
 from companion.params.airframe import FAMILIES, Airframe, Wing
 from companion.records import Station
 from companion.sim.flight.perturb import SensorErrors, TruthAirframe
@@ -42,7 +42,9 @@ def _by_second_mode(wing: Wing) -> float:
     """Way inboard by the product of the first two modes, over that of a cantilever; 1 without a second mode."""
     second = wing.second_symmetric
     slopes = (0.0, wing.semispan_m * second.slope_factor_radpm.value) if second else ()
-    return wing.shortening.value * float(shortening_pm((0, 1), 1.0, slopes)[0, 1] / shortening_pm((0, 1), 1.0)[0, 1])
+    return wing.shortening.value * float(
+        foreshortening_pm((0, 1), 1.0, slopes)[0, 1] / foreshortening_pm((0, 1), 1.0)[0, 1]
+    )
 
 
 def _errors(errors: SensorErrors) -> dict[str, float]:

@@ -146,9 +146,9 @@ class FilterConstants(NamedTuple):
         regression on the measurement's own noise would be biased towards zero (errors in variables).
     lever_m : (2,) float64
         Places of the tips along body y from the root.
-    shortening_pm : (2, r, r) float64
-        Half of it times the lifts of two ranks of modes is how far a tip moves to the left by them, 1/m.
-    shortening_column, further_shortening_column : int
+    foreshortening_pm : (2, r, r) float64
+        kappa with the sign of y, 1/m: by lifts w_i and w_j a tip moves to the left by kappa_ij w_i w_j / 2.
+    foreshortening_column, further_foreshortening_column : int
         Columns of the relative error of that by the lowest modes alone, and of all that further modes have in it; 0
         where it is not estimated.
     height_column : (2,) int64
@@ -175,9 +175,9 @@ class FilterConstants(NamedTuple):
     regressor_sources: Ints
     regressor_signs: Floats
     lever_m: Floats
-    shortening_pm: Floats
-    shortening_column: int
-    further_shortening_column: int
+    foreshortening_pm: Floats
+    foreshortening_column: int
+    further_foreshortening_column: int
     height_column: Ints
 
 

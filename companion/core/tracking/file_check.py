@@ -18,8 +18,8 @@ _TERMS = {name: (error.words, error.factor, error.unit) for name, error in {**SE
     "trim": ("trim bend", 1e3, "mm"),
     "bend_per_g": ("bend per g", 1e3, "mm"),
     "bz": ("common vertical bias", 1.0, "m/s2"),
-    "shortening": ("shortening", 100.0, "%"),
-    "further_shortening": ("shortening by further modes", 100.0, "%"),
+    "shortening": ("foreshortening", 100.0, "%"),
+    "further_shortening": ("foreshortening by further modes", 100.0, "%"),
 }  # words, factor and unit of each constant; all others are of a mode (by definition)
 
 

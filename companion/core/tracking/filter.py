@@ -137,7 +137,7 @@ class SeparatedBiasFilter:
 
         Vibration is coherent from epoch to epoch. A load that follows it, or the noise about a still wing, makes
         predictions and innovations contradict each other by it. Every scale learned so comes out small, slopes' and
-        shortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
+        foreshortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
         lateral bias differ by the vertical force alone, with which a strongly vibrating tip's lateral motion goes.
         """
         tips = zip(("left", "right"), vibrating, self.layout.vertical_only_tips, strict=True)

@@ -8,7 +8,7 @@ from companion.core.kernels.arrays import DiscreteModel, FilterConstants
 from companion.core.tracking.error_jacobians import measured_regressors
 from companion.core.tracking.model import DiscreteWingModel, lift_rows
 from companion.core.tracking.states import P_LEFT, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
-from companion.core.wing.shortening import shortening_pm
+from companion.core.wing.foreshortening import foreshortening_pm
 from companion.records import Floats, Ints
 
 
@@ -127,18 +127,18 @@ def kernel_constants(
         regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
         regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
         lever_m=np.array(model.lever_y_m),
-        shortening_pm=np.stack([_shortening_pm(layout, y_m) for y_m in layout.tip_y_m]),
-        shortening_column=layout.column("shortening") or 0,
-        further_shortening_column=layout.column("further_shortening") or 0,
+        foreshortening_pm=np.stack([_foreshortening_pm(layout, y_m) for y_m in layout.tip_y_m]),
+        foreshortening_column=layout.column("shortening") or 0,
+        further_foreshortening_column=layout.column("further_shortening") or 0,
         height_column=_tip_columns(layout, "height"),
     )
 
 
-def _shortening_pm(layout: StateLayout, tip_y_m: float) -> Floats:
-    """Signed shortening of a tip by each pair of ranks."""
+def _foreshortening_pm(layout: StateLayout, tip_y_m: float) -> Floats:
+    """Signed foreshortening of a tip by each pair of ranks."""
     slope_factors = [layout.slope_factor(rank).value for rank in range(layout.ranks)]
     ranks = tuple(range(layout.ranks))
-    return np.asarray(np.sign(tip_y_m) * layout.shortening * shortening_pm(ranks, tip_y_m, slope_factors))
+    return np.asarray(np.sign(tip_y_m) * layout.foreshortening * foreshortening_pm(ranks, tip_y_m, slope_factors))
 
 
 def _tip_columns(layout: StateLayout, error: str) -> Ints:

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
-from companion.core.wing.shortening import shortening_pm
+from companion.core.wing.foreshortening import foreshortening_pm
 from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertain, Wing
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
@@ -101,8 +101,8 @@ class StateLayout:
         Names, ``left.kz`` and so on, (c,).
     bias_parameter_sigma : (c,) float64
         Prior standard deviations.
-    shortening : float
-        How far a bent wing's tip moves inboard, over what a uniform cantilever's does.
+    foreshortening : float
+        Foreshortening of the bent wing over that of a uniform cantilever.
     tip_y_m : (float, float)
         Body y of the left and right tip station.
     """
@@ -115,7 +115,7 @@ class StateLayout:
     row_bias_states: tuple[tuple[int, int], ...]
     bias_parameters: tuple[str, ...]
     bias_parameter_sigma: Floats
-    shortening: float
+    foreshortening: float
     tip_y_m: tuple[float, float]
 
     def column(self, name: str) -> int | None:
@@ -189,26 +189,26 @@ def make_layout(airframe: Airframe) -> StateLayout:
         row_bias_states=row_bias_states,
         bias_parameters=tuple(name for name, _ in named),
         bias_parameter_sigma=np.array([sigma for _, sigma in named]),
-        shortening=wing.shortening.value,
+        foreshortening=wing.shortening.value,
         tip_y_m=(airframe.left.position_m[1], airframe.right.position_m[1]),
     )
-    shortening_sigma = dict(named).get("shortening", 0.0)
-    if shortening_sigma == 0.0 or layout.ranks == 1:
+    foreshortening_sigma = dict(named).get("shortening", 0.0)
+    if foreshortening_sigma == 0.0 or layout.ranks == 1:
         return layout
     return replace(
         layout,
         bias_parameters=(*layout.bias_parameters, "further_shortening"),
         bias_parameter_sigma=np.append(
-            layout.bias_parameter_sigma, np.hypot(shortening_sigma, _shortening_by_slope(layout))
+            layout.bias_parameter_sigma, np.hypot(foreshortening_sigma, _foreshortening_by_slope(layout))
         ),
     )
 
 
-def _shortening_by_slope(layout: StateLayout) -> float:
-    """Relative sigma of what a second mode adds to the way inboard, by that of its slope factor, which tells it."""
+def _foreshortening_by_slope(layout: StateLayout) -> float:
+    """Relative sigma of what a second mode adds to the foreshortening, by that of its slope factor, which tells it."""
     second, lever_m = layout.slope_factor(1), abs(layout.tip_y_m[1])
     expected, steeper = (
-        shortening_pm((0, 1), lever_m, (0.0, slope_radpm))[0, 1]
+        foreshortening_pm((0, 1), lever_m, (0.0, slope_radpm))[0, 1]
         for slope_radpm in (second.value, second.value + second.sigma)
     )
     return float(abs(steeper / expected - 1.0)) if expected else 0.0
@@ -253,8 +253,10 @@ def _bias_parameters(airframe: Airframe) -> list[tuple[str, float]]:
         named += [(f"{place}.{name}", error.sigma(sensor)) for name, error in SENSOR_ERRORS.items()]
     named.append(("bz", _common_bias_sigma(airframe)))
     lateral = any("y" in sensor.sends and "z" in sensor.sends for sensor in (airframe.left, airframe.right))
-    shortening = wing.shortening
-    named.append(("shortening", shortening.sigma / shortening.value if lateral and shortening.value > 0.0 else 0.0))
+    foreshortening = wing.shortening
+    named.append(
+        ("shortening", foreshortening.sigma / foreshortening.value if lateral and foreshortening.value > 0.0 else 0.0)
+    )
     return named + [(f"root.{name}", error.sigma(airframe.root)) for name, error in ROOT_ERRORS.items()]
 
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.wing.foreshortening import foreshortening_pm
 from companion.core.wing.model import WingModel
-from companion.core.wing.shortening import shortening_pm
 from companion.records import Floats, Side
 
 _SLOPE_SIGN = (1.0, -1.0)  # up-bend turns the left tip about +x, the right one about -x (by definition)
@@ -79,12 +79,12 @@ def _displaced(model: WingModel, side: Side, position_m: Floats, path: ModalPath
     q, v, a = path.q_m * lift, path.qdot_mps * lift, path.qddot_mps2 * lift
     ranks = tuple(slot // 2 for slot in model.structure.slots)
     slope_factors = np.divide(model.structure.slope_radpm[side], lift, out=np.zeros_like(lift), where=lift != 0.0)
-    shape_products_pm = shortening_pm(ranks, float(position_m[1]), slope_factors)
-    inward = np.sign(position_m[1]) * model.params.shortening.value * shape_products_pm
+    relative = np.sign(position_m[1]) * model.params.shortening.value
+    kappa = relative * foreshortening_pm(ranks, float(position_m[1]), slope_factors)
     along = (
-        0.5 * np.sum(q @ inward * q, axis=1),
-        np.sum(v @ inward * q, axis=1),
-        np.sum(v @ inward * v + q @ inward * a, axis=1),
+        0.5 * np.sum(q @ kappa * q, axis=1),
+        np.sum(v @ kappa * q, axis=1),
+        np.sum(v @ kappa * v + q @ kappa * a, axis=1),
     )
     none = np.zeros(len(q))
     up = (q.sum(axis=1), v.sum(axis=1), a.sum(axis=1))

@@ -244,8 +244,8 @@ def _linearise(
     residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
     for side, tip in enumerate(tips):
         residual_columns[Y_LEFT + side, 0] += tip.rest
-        columns = (const.shortening_column, const.further_shortening_column)
-        for column, per_error in zip(columns, tip.per_shortening, strict=True):
+        columns = (const.foreshortening_column, const.further_foreshortening_column)
+        for column, per_error in zip(columns, tip.per_foreshortening, strict=True):
             if column:  # the rows have it at the estimate, and column 0 is that of no error
                 residual_columns[Y_LEFT + side, column] -= per_error
                 residual_columns[Y_LEFT + side, 0] += per_error * one_and_bias[column]
@@ -275,25 +275,25 @@ def _linearise(
         if bias >= 0:
             H[Y_LEFT + side, bias] = epochs.lateral_gain[k, side]
     residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[
-        6 + 6 * const.shortening_pm.shape[1] :
+        6 + 6 * const.foreshortening_pm.shape[1] :
     ]
     return tips
 
 
-def _shortening_factors(const: FilterConstants, one_and_bias: Floats) -> Floats:
+def _foreshortening_factors(const: FilterConstants, one_and_bias: Floats) -> Floats:
     """Estimated over believed way inboard by pairs of ranks, (r, r)."""
     lowest, further = (
         1.0 + one_and_bias[column] if column else 1.0
-        for column in (const.shortening_column, const.further_shortening_column)
+        for column in (const.foreshortening_column, const.further_foreshortening_column)
     )
-    factors = np.full(const.shortening_pm.shape[1:], further)
+    factors = np.full(const.foreshortening_pm.shape[1:], further)
     factors[0, 0] = lowest
     return factors
 
 
 def _lift_rows(const: FilterConstants, model: DiscreteModel) -> Floats:
     """Rows (2, n + 1) of the linearisation that give both tips' lift by all ranks."""
-    end = 6 + 6 * const.shortening_pm.shape[1]
+    end = 6 + 6 * const.foreshortening_pm.shape[1]
     return np.stack([model.linearisation_rows[6 + side : end : 6].sum(axis=0) for side in (0, 1)])
 
 
@@ -307,7 +307,7 @@ class _MovingTip(NamedTuple):
 
     row: Floats
     rest: float
-    per_shortening: tuple[float, float]
+    per_foreshortening: tuple[float, float]
     variance_mps2_2: float
     blow_variance_mps2_2: float
     per_measured: float
@@ -324,15 +324,15 @@ def _moving_tip(
     Derivatives have the root's ``p'`` of some epochs before, and accelerations found with it: the state's ``p'``,
     estimated from the same tips, is noisy, and its error is in the rows.
     """
-    ranks, linearised = const.shortening_pm.shape[1], model.linearisation_rows @ state
+    ranks, linearised = const.foreshortening_pm.shape[1], model.linearisation_rows @ state
     lift_rows, rate_rows, accel_rows = np.stack(
         [model.linearisation_rows[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1
     )
     p_row, a_row = model.linearisation_rows[4:6]
     lift, rate, accel = np.stack([linearised[6 + 6 * rank + side : 12 + 6 * rank : 2] for rank in range(ranks)], axis=1)
     p, p_dot = float(linearised[4]), float(linearised[5])
-    believed = const.shortening_pm[side]
-    factors = _shortening_factors(const, one_and_bias)
+    believed = const.foreshortening_pm[side]
+    factors = _foreshortening_factors(const, one_and_bias)
     K = believed * factors
     slope = float(linearised[side])
     by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
@@ -389,11 +389,11 @@ def _expected_force(
     const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, side: int, state: Floats, one_and_bias: Floats
 ) -> tuple[float, Floats]:
     """Lateral force of a moving tip by the predicted state alone, and its derivatives by that (n + 1,)."""
-    rows, end = model.linearisation_rows, 6 + 6 * const.shortening_pm.shape[1]
+    rows, end = model.linearisation_rows, 6 + 6 * const.foreshortening_pm.shape[1]
     lift_rows, rate_rows, accel_rows = (rows[first + side : end : 6] for first in (6, 8, 10))
     lift, rate, accel = lift_rows @ state, rate_rows @ state, accel_rows @ state
     p, p_dot = rows[4:6] @ state
-    K = const.shortening_pm[side] * _shortening_factors(const, one_and_bias)
+    K = const.foreshortening_pm[side] * _foreshortening_factors(const, one_and_bias)
     by_gyros = -float(epochs.body_rate_radps[k, 1] * epochs.body_rate_radps[k, 2])
     height_column = int(const.height_column[side])
     raised = lift.sum() + (one_and_bias[height_column] if height_column else 0.0)
@@ -420,7 +420,7 @@ def _beyond_expected(
 ) -> float:
     """Excess of the measured sum of all ranks' lift accelerations of a tip over the expected one."""
     linearised = model.linearisation_rows @ state
-    lift, _, accel = linearised[6 + side : 6 + 6 * const.shortening_pm.shape[1]].reshape(-1)[::2].reshape(-1, 3).T
+    lift, _, accel = linearised[6 + side : 6 + 6 * const.foreshortening_pm.shape[1]].reshape(-1)[::2].reshape(-1, 3).T
     slope, p, p_dot = float(linearised[side]), float(linearised[4]), float(linearised[5])
     tilted = 0.5 * float(epochs.vertical_mps2[k, side]) * slope**2 + float(epochs.lateral_mps2[k, side]) * slope
     measured = float(const.lever_m[side]) * p_dot - float(epochs.rows[k, Z_LEFT + side]) - tilted
