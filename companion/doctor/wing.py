@@ -22,7 +22,6 @@ _UNPAIRED = 0.05  # convention: share of frames worth a warning
 _LOST = 0.05  # convention: share of plans worth a warning
 _OVERHEAD_BYTES = 12  # header and checksum of MAVLink 2
 _BITS_PER_BYTE = 10  # start, eight of data, stop (by definition)
-_LETTERS = "xyzpqr"
 # smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases, mrad: sitl_tests/physics/test_reference_limits.py
 _SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (True, True): 0.24}
 
@@ -54,9 +53,7 @@ def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
         if not wired:
             yield _silent(evidence, source, name)
         return
-    missing = "".join(
-        letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not evidence.axes[side] >> bit & 1
-    )
+    missing = (sensor.axes & ~evidence.axes[side]).letters
     if missing:
         text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
         yield Finding.fix("wing", text)
@@ -121,8 +118,8 @@ def _bandwidth(evidence: Evidence, sensor: Sensor) -> str:
 def _accuracy(evidence: Evidence) -> str:
     axes = evidence.axes[Station.LEFT] & evidence.axes[Station.RIGHT]
     lateral, gyro = bool(axes & Axis.Y), bool(axes & Axis.P)
-    names = "".join(letter for bit, letter in enumerate(_LETTERS) if axes >> bit & 1)
-    text = f"both tips send {names}: relative slope to about {_SLOPE_MRAD[lateral, gyro]:.2f} mrad (5 Hz, 5 mm wing)"
+    sigma = f"{_SLOPE_MRAD[lateral, gyro]:.2f} mrad (5 Hz, 5 mm wing)"
+    text = f"both tips send {axes.letters}: relative slope to about {sigma}"
     return text if lateral and gyro else text + "; with lateral axis and gyro 0.24"
 
 

@@ -141,10 +141,9 @@ def _kind(recording: Recording) -> str:
 def stream_line(station: Station, stream: StreamInfo) -> str:
     """One stream in words: samples, axes, rate, gaps."""
     rate = f"{stream.rate_hz:.1f} Hz" if stream.rate_hz is not None else "no rate"
-    axes = "".join(letter for i, letter in enumerate("xyzpqr") if stream.axes >> i & 1)
     count, lost_s = stream.gaps()
     gaps = f"{count} gap{'s' * (count != 1)}, {lost_s:.2f} s together" if count else "no gaps"
-    return f"{station.name.lower():5s} {stream.samples} samples of {axes} at {rate}, {gaps}"
+    return f"{station.name.lower():5s} {stream.samples} samples of {stream.axes.letters} at {rate}, {gaps}"
 
 
 def _counted(counts: Counter[str]) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.errors import ConfigError
-from companion.records import ClockName, Side, Station
+from companion.records import Axis, ClockName, Side, Station
 from companion.units import Orientation
 
 Vector3 = tuple[float, float, float]
@@ -149,6 +149,11 @@ class Sensor:
     gyro_range_radps: float = 34.9
     lowpass_accel_hz: float = 0.0
     lowpass_gyro_hz: float = 0.0
+
+    @property
+    def axes(self) -> Axis:
+        """The axes that it sends."""
+        return Axis.of(self.sends)
 
 
 @dataclass(frozen=True, slots=True)

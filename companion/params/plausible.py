@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.params.airframe import FAMILIES, Airframe, Camera, Sensor, Uncertain
+from companion.records import AXIS_LETTERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,6 @@ _MOST_RELATIVE_SIGMA = 5.0  # a belief so wide says nothing (choice)
 _FLATTEST_RADPM = 0.001  # a cantilever of 50 m semispan has 0.03 (choice)
 _LOWEST_CORNER_HZ = 0.001  # a random walk, for every flight (choice)
 _BEYOND_TIP = 1.5  # of the semispan: cameras on booms ahead of or beyond the tip (choice)
-_LETTERS = "xyzpqr"
 _DISTORTION_TERMS = 5  # OpenCV's k1 k2 p1 p2 k3
 
 
@@ -146,8 +146,8 @@ def _outside(value: Any, key: str, limits: Range) -> Iterator[str]:
 
 def _sensor(sensor: Sensor, where: str) -> Iterator[str]:
     letters = sensor.sends
-    if not letters or set(letters) - set(_LETTERS) or len(set(letters)) < len(letters):
-        yield f"'{where}.sends' = '{letters[:40]}' must be letters of '{_LETTERS}', each once and at least one"
+    if not letters or set(letters) - set(AXIS_LETTERS) or len(set(letters)) < len(letters):
+        yield f"'{where}.sends' = '{letters[:40]}' must be letters of '{AXIS_LETTERS}', each once and at least one"
 
 
 def _camera(camera: Camera, where: str) -> Iterator[str]:

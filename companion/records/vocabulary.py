@@ -66,6 +66,16 @@ class Axis(enum.IntFlag):
         """Columns of ``ImuBatch.values`` that hold these axes."""
         return [column for column in range(len(AXIS_LETTERS)) if self >> column & 1]
 
+    @property
+    def mask(self) -> Bools:
+        """Whether each column of ``ImuBatch.values`` holds one of them, (6,)."""
+        return np.isin(np.arange(len(AXIS_LETTERS)), self.columns)
+
+    @property
+    def letters(self) -> str:
+        """Their letters, in the order of "xyzpqr"."""
+        return "".join(AXIS_LETTERS[column] for column in self.columns)
+
 
 class Reject(enum.StrEnum):
     """Why something was refused. Counted, shown, and never replaced by a guess."""

@@ -91,7 +91,7 @@ class MeasurementBuilder:
         axes = (root.axes, left.axes, right.axes)
         if axes != self._axes:
             self._axes = axes
-            self._sends = np.array([[_sends(stream, letter) for letter in "xyzpqr"] for stream in self._streams])
+            self._sends = np.stack([(stream.axes & stream.sensor.axes).mask for stream in self._streams])
         fixed = (self._sends, self._levers_m, self._noise, self._error_columns, self._parameter_count)
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
@@ -119,11 +119,6 @@ class _RootNoise(NamedTuple):
 
     mps2_rthz: float
     usual_sigma: Floats
-
-
-def _sends(stream: SampleBuffer, letter: str) -> bool:
-    """Whether a stream has the axis, by its batches and by the airframe."""
-    return bool(stream.axes & Axis[letter.upper()]) and letter in stream.sensor.sends
 
 
 _pack_samples, _pack_noise, _pack_epochs = packed(StreamSamples), packed(_RootNoise), packed(Epochs)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from companion.params.airframe import Sensor
-from companion.records import Axis, Floats, Ints
+from companion.records import AXIS_LETTERS, Axis, Floats, Ints
 
-_AXES = "xyzpqr"
 _SPAN_NS = 50_000_000  # chosen: the usual reorder window, so that the filter has taken none of them
 _FEWEST = 10  # chosen: samples in a row, of a slow stream
 _BACK_NS = 200_000_000  # chosen: a channel that has moved for so long hangs no more
@@ -34,15 +33,15 @@ class Standstill:
         cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         band_hz = np.where(cutoff_hz > 0.0, _NOISE_BAND * cutoff_hz, np.inf)
         self._noise_sigma: Floats = noise * np.sqrt(np.minimum(band_hz, 0.5 * sensor.rate_hz))
-        self._sent = np.array([letter in sensor.sends for letter in _AXES])
+        self._sent = sensor.axes.mask
         self._span_ns = max(_SPAN_NS, round(_FEWEST * 1e9 / sensor.rate_hz))
-        self._newest: Floats = np.full(len(_AXES), np.nan)
-        self._changed_ns = np.zeros(len(_AXES), np.int64)  # the newest value came first
-        self._still_ns = np.zeros(len(_AXES), np.int64)  # it stood still last
-        self._step: Floats = np.full(len(_AXES), np.inf)  # least change that it has shown
-        self._repeated: Floats = np.ones(len(_AXES))  # share of the last seconds' samples
-        self._lively = np.zeros(len(_AXES), np.bool_)  # may not stand still
-        self._hangs = np.zeros(len(_AXES), np.bool_)
+        self._newest: Floats = np.full(len(AXIS_LETTERS), np.nan)
+        self._changed_ns = np.zeros(len(AXIS_LETTERS), np.int64)  # the newest value came first
+        self._still_ns = np.zeros(len(AXIS_LETTERS), np.int64)  # it stood still last
+        self._step: Floats = np.full(len(AXIS_LETTERS), np.inf)  # least change that it has shown
+        self._repeated: Floats = np.ones(len(AXIS_LETTERS))  # share of the last seconds' samples
+        self._lively = np.zeros(len(AXIS_LETTERS), np.bool_)  # may not stand still
+        self._hangs = np.zeros(len(AXIS_LETTERS), np.bool_)
         self._looked_ns = -(2**62)
         self.since_ns: int | None = None
 
@@ -73,7 +72,7 @@ class Standstill:
         self._lively = (self._repeated < _MOST_REPEATED) & (self._step < self._noise_sigma) & self._sent
         hung = self._hangs
         self._hangs = np.where(hung, newest_ns - self._still_ns < _BACK_NS, still & self._lively)
-        self._hangs &= np.array([bool(axes & Axis[letter.upper()]) for letter in _AXES])
+        self._hangs &= axes.mask
         weight = min(max(newest_ns - self._looked_ns, 0) * 1e-9 / _MEMORY_S, 1.0)
         self._repeated += np.where(hung, 0.0, weight * (same.mean(axis=0) - self._repeated))
         self._looked_ns = newest_ns
@@ -84,5 +83,5 @@ class Standstill:
 
     def sentences(self, place: str) -> list[str]:
         """Sentence for the operator, where a channel stands still."""
-        axes = "".join(letter for letter, hangs in zip(_AXES, self._hangs, strict=True) if hangs)
+        axes = "".join(letter for letter, hangs in zip(AXIS_LETTERS, self._hangs, strict=True) if hangs)
         return [f"{place} {axes} stands still: its samples are not used"] if axes else []

@@ -109,8 +109,7 @@ def limited(values: Floats, sensor: Sensor) -> Floats:
     ranges = np.repeat([sensor.accel_range_mps2, sensor.gyro_range_radps], 3)
     lsb = ranges / _WORD
     counts = np.clip(np.round(np.clip(values, -ranges, ranges) / lsb), -_WORD, _WORD - 1)
-    sends = np.array([axis in sensor.sends for axis in "xyzpqr"])
-    return np.asarray(counts * lsb * sends)
+    return np.asarray(counts * lsb * sensor.axes.mask)
 
 
 def on_wire(values: Floats, sensor: Sensor) -> Floats:

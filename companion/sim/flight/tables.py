@@ -14,13 +14,12 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import log_rotation, relative_rotation
 from companion.core.wing.effect import viewed
 from companion.core.wing.effects import apply_to_airframe
-from companion.records import Floats, Ints, Side, Station
+from companion.records import AXIS_LETTERS, Floats, Ints, Side, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
 from companion.sim.flight.truth import TruthSeries
 from companion.units import Orientation
 
-_LETTERS = "xyzpqr"
 _UNITS = ("mps2", "mps2", "mps2", "radps", "radps", "radps")
 _MATCH_SIGMA_PX = 0.3  # chosen: the noise that a diagnosis believes of a match (diagnosis/model/belief.py)
 _RANGE_RATE_HZ = 10.0  # chosen: a stereo pair's usual rate
@@ -61,8 +60,8 @@ def _write_accel(flight: Flight, path: Path) -> Path:
         sensor = flight.real.actual.sensor(station)
         real = RealSensor(flight.truth, flight.model, station, sensor, flight.real.errors[station])
         raw = real.sample(times, period_ns, flight.generator(f"table {station}"))
-        keep = [column for column, letter in enumerate(_LETTERS) if letter in sensor.sends]
-        names += [f"{station.name.lower()}_{_LETTERS[column]}_{_UNITS[column]}" for column in keep]
+        keep = sensor.axes.columns
+        names += [f"{station.name.lower()}_{AXIS_LETTERS[column]}_{_UNITS[column]}" for column in keep]
         blocks.append(real.finish(raw, BACKEND_HZ)[:, keep])
     return _write(path, names, times, np.hstack(blocks), "%.6f")
 
