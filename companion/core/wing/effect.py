@@ -330,7 +330,7 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
 
 def with_vertical(values: Floats, vertical_mps2: Floats) -> Floats:
     """Samples (m, 6) with another vertical specific force (m,)."""
-    changed = values.copy()
+    changed = values.copy(order="K")
     changed[:, 2] = vertical_mps2
     return changed
 

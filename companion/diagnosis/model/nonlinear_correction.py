@@ -307,10 +307,10 @@ class _Fine:
         self._weight: Floats = np.interp(self._t_s, observations.t_s, weight)
         # a law may know the samples' own mean, which a bump of all alike would move
         self._signs = _signs(len(up))
-        self._rigid = np.zeros((len(up), 6))
+        self._values = np.zeros((6, len(up))).T  # columns in a piece: effects change the vertical one
         for name, column in _RIGID_COLUMNS.items():
             if name in observations.rigid:
-                self._rigid[:, column] = np.interp(self._t_s, observations.t_s, observations.rigid[name])
+                self._values[:, column] = np.interp(self._t_s, observations.t_s, observations.rigid[name])
 
     def reading(self, channel: int) -> Floats:
         """The vertical specific force that a channel shows."""
@@ -318,9 +318,8 @@ class _Fine:
 
     def sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
         """Error that an effect adds to a station's vertical specific force, m/s^2."""
-        values = self._rigid.copy()
-        values[:, 2] = force_z
-        return np.asarray(sensed((effect,), station, self._t_s, values)[:, 2] - force_z)
+        self._values[:, 2] = force_z
+        return np.asarray(sensed((effect,), station, self._t_s, self._values)[:, 2] - force_z)
 
     def inverted(self, effect: Effect, station: Station, reading: Floats) -> Floats:
         """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
