@@ -101,7 +101,8 @@ static int64_t append(uint8_t *buffer, int64_t filled, const uint8_t *slots, con
 /* Read what waits, about so many bytes at most: the datagrams' bytes one behind the other in the first buffer, and a
  * table with a row for each; those that follow each other from one sender, all of whole frames without a guarded id,
  * share a row. `state` has the size of the largest datagram of the last system call, which bounds the next, and
- * whether nothing was left behind. How many rows there are; FAILED - errno where the socket fails before anything is read. */
+ * whether nothing was left behind. How many rows there are; FAILED - errno where the socket fails before anything is
+ * read. */
 EXPORT int64_t datagrams_read(int64_t descriptor, int64_t limit, const array *buffer_out, const array *slots_out,
                               const array *guarded_in, int64_t system, const array *table_out, const array *state_out)
 {

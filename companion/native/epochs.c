@@ -1,4 +1,4 @@
-/* Measurement rows from averaged streams, with the motion of the rigid aircraft removed, and their Jacobian with respect
+/* Measurement rows from averaged streams, without the motion of the rigid aircraft, and their Jacobian with respect
  * to the sensors' errors: see core/tracking/rigid_body.py and error_jacobians.py for the equations. */
 #include "epochs.h"
 
@@ -201,7 +201,7 @@ static void mean_before(const double *values, int64_t width, const motion *m, in
 }
 
 /* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is `before`, the mean of
- * some epochs: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
+ * some epochs: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and so the root's
  * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
  * the root had it in the mean of those epochs: the tip's own axes carry vibration that is coherent with the row's. */
 static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, const double *before,
@@ -296,8 +296,9 @@ static bool read_columns(const epochs_record *record, int64_t n, epoch_columns *
     };
     const array *all[] = {record->rows,         record->present, record->vertical_mps2,   record->lateral_mps2,
                           record->load_g,       record->start_ns, record->slope_rate_gain, record->lateral_gain,
-                          record->sensitivity,  record->body_rate_radps, record->earlier_roll_radps2, record->earlier_load_g,
-                          record->aliasing_noise, record->root_motion_variance, record->root_covered};
+                          record->sensitivity,  record->body_rate_radps, record->earlier_roll_radps2,
+                          record->earlier_load_g, record->aliasing_noise, record->root_motion_variance,
+                          record->root_covered};
     for (size_t k = 0; k < sizeof all / sizeof *all; k++)
         good = good && extent(all[k], 0) >= n;
     return good;

@@ -355,7 +355,8 @@ static moving_tip find_moving_tip(const run *f, int64_t k, int side)
         by_sum += share.own[b] * tip.by.acceleration[b];
     }
     for (int64_t b = 0; b < f->ranks; b++) {
-        const double *left_open = share.covariance + b * f->ranks, *whole = f->lift_acceleration_covariance + 2 * squares;
+        const double *left_open = share.covariance + b * f->ranks;
+        const double *whole = f->lift_acceleration_covariance + 2 * squares;
         for (int64_t c = 0; c < f->ranks; c++) {
             double product = (tip.by.acceleration[b] - by_sum) * (tip.by.acceleration[c] - by_sum);
             tip.variance += product * left_open[c];
@@ -449,7 +450,7 @@ static void linearise_rows(run *f, int64_t k)
     }
 }
 
-/* Columns of the entries of a row (n,) that are not zero, and these by a sign, into `entry` and `factor`; their count. */
+/* Columns of a row (n,) whose entries are not zero, and these by a sign, into `entry` and `factor`; their count. */
 static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
 {
     int64_t count = 0;
@@ -461,7 +462,7 @@ static int64_t find_entries(run *f, const double *row, double sign, int64_t n)
     return count;
 }
 
-/* Errors of the predicted rows (ROWS,) by the measured load factor and, in slope rows, by the state's roll acceleration,
+/* Errors of the predicted rows (ROWS,) by the measured load factor, and in slope rows by the state's roll acceleration,
  * taken against their means of some epochs before: they are in the innovations too. */
 static void find_shared_errors(const run *f, int64_t k, double *errors)
 {
@@ -732,8 +733,8 @@ static bool gate(run *f, int64_t k, const double *rows, double *excess)
     return gated;
 }
 
-/* Factor on the process noise that adds e^2 - g^2 S to the variance S of each vertical row beyond the gate g at least: a
- * large innovation e then lies at about one sigma. */
+/* Factor on the process noise that adds at least e^2 - g^2 S to the variance S of each vertical row beyond the gate g:
+ * a large innovation e then lies at about one sigma. */
 static double inflate_process_noise(const run *f, double before)
 {
     double inflation = before;
@@ -993,7 +994,8 @@ static bool read_state(const state_record *record, run *f)
     f->bias_covariance = reals(record->bias_covariance, 2, &good);
     f->teachable = integers(record->teachable, 1, &good);
     f->teachable_count = extent(record->teachable, 0);
-    return good && has_shape(record->bias_covariance, width - 1, width - 1, -1) && has_shape(record->state_and_sensitivity, n + 1, width, -1) &&
+    return good && has_shape(record->bias_covariance, width - 1, width - 1, -1) &&
+           has_shape(record->state_and_sensitivity, n + 1, width, -1) &&
            has_shape(record->covariance, n, n, -1) && has_shape(record->information, width, width, -1) &&
            extent(record->one_and_bias, 0) == width;
 }
@@ -1032,7 +1034,7 @@ EXPORT int64_t filter_epochs(const constants_record *constants, const model_reco
     return finite;
 }
 
-/* Run the adjoint recursion of the smoother back over `count` steps to `first` (core/tracking/smoother.py): l (n, width)
+/* Run the smoother's adjoint recursion (core/tracking/smoother.py) back over `count` steps to `first`: l (n, width)
  * at it and at the step after it, W (n, n) at it. */
 EXPORT int64_t smoother_backward(const history_record *past, int64_t first, int64_t count, const array *adjoint_out,
                                  const array *next_out, const array *information_out)

@@ -44,7 +44,8 @@ static inline bool read_history(const history_record *record, history *h)
     int64_t size = h->size = extent(record->state, 0), n = h->n = extent(record->state, 1);
     int64_t width = h->width = extent(record->state, 2);
     h->transitions = extent(record->transition, 0);
-    return size > 0 && has_shape(record->covariance, size, n, n) && has_shape(record->transition, h->transitions, n, n) &&
+    return size > 0 && has_shape(record->covariance, size, n, n) &&
+           has_shape(record->transition, h->transitions, n, n) &&
            has_shape(record->whitened_H, size, ROWS, n) && has_shape(record->whitened_innovation, size, ROWS, width) &&
            has_shape(record->whitened_cross_cov, size, ROWS, n) && has_shape(record->static_m, size, width, -1) &&
            has_shape(record->gate_excess, size, ROWS, -1) && has_shape(record->innovation, size, ROWS, -1) &&

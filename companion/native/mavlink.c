@@ -31,7 +31,7 @@ typedef struct {
 static int64_t checksum(const uint8_t *buffer, int64_t first, int64_t stop, const int64_t *crc_table)
 {
     int64_t crc = 0xFFFF, k = first;
-    const int64_t *alone = crc_table, *followed = crc_table + (AT_ONCE - 1) * 256; /* by as many zeros as bytes remain */
+    const int64_t *alone = crc_table, *followed = crc_table + (AT_ONCE - 1) * 256; /* by zeros for the rest */
     for (; k + AT_ONCE <= stop; k += AT_ONCE) {
         int64_t sum = followed[(crc ^ buffer[k]) & 255] ^ followed[-256 + ((crc >> 8) ^ buffer[k + 1])];
         for (int64_t byte = 2; byte < AT_ONCE; byte++)

@@ -10,7 +10,7 @@
 #define MEDIAN_SIGMAS 12.0       /* chosen: a lateral axis shows slope times force, whose tails are long */
 #define NEIGHBOUR_RATIO 0.3      /* chosen: residual of the neighbours over the sample's, once this is replaced */
 #define SPAN_RATIO 0.5           /* chosen: residual over the span of the neighbours; a smaller one is motion */
-#define MOST_TILT 0.2            /* chosen, rad: of a bent tip, whose lateral axis shows so much of a white vertical force */
+#define MOST_TILT 0.2            /* chosen, rad: of a bent tip, whose lateral axis shows so much vertical force */
 #define VERTICAL 2               /* channel (by definition) */
 #define WINDOW 16                /* chosen: samples on either side for the median residual */
 #define SIGMAS_PER_MEDIAN 1.4826 /* derived: standard deviation over the median magnitude of a Gaussian */
@@ -104,7 +104,8 @@ EXPORT int64_t stream_outliers(const array *t_in, const array *values_in, int64_
     const double *values = reals(values_in, 2, &good), *noise_sigma = reals(sigma_in, 1, &good);
     uint8_t *out = truths(out_in, 1, &good);
     int64_t count = extent(t_in, 0), channels = extent(values_in, 1), found = 0;
-    if (!good || extent(values_in, 0) != count || channels <= VERTICAL || extent(out_in, 0) < count || extent(sigma_in, 0) < channels)
+    if (!good || extent(values_in, 0) != count || channels <= VERTICAL || extent(out_in, 0) < count ||
+        extent(sigma_in, 0) < channels)
         return BAD_ARRAY;
     double *series = malloc((size_t)(3 * count + 1) * sizeof *series), *residual = series + count;
     double *vertical = residual + count;

@@ -7,7 +7,8 @@ EXPORT int64_t slipping_spring(const array *deflection_in, double reach, const a
     bool good = true;
     const double *deflection = reals(deflection_in, 2, &good);
     double *stretch = reals(stretch_out, 2, &good);
-    if (!good || extent(stretch_out, 0) != extent(deflection_in, 0) || extent(stretch_out, 1) != extent(deflection_in, 1))
+    if (!good || extent(stretch_out, 0) != extent(deflection_in, 0) ||
+        extent(stretch_out, 1) != extent(deflection_in, 1))
         return BAD_ARRAY;
     int64_t count = extent(deflection_in, 1);
     for (int64_t row = 0; row < extent(deflection_in, 0); row++) {

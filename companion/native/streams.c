@@ -3,7 +3,7 @@
  * An integrating sensor's sample is the average over its own interval, so the running integral is known at the
  * interval's edges; between them it is taken as a cubic (Hermite). Where a source has applied a 2nd-order Butterworth
  * low-pass, the samples themselves are interpolated instead, and the filter is inverted by its differential equation,
- * u = y + (sqrt(2)/w) y' + y''/w^2: the mean of u over an epoch needs only y and y' at the epoch's ends. The inverse has
+ * u = y + (sqrt(2)/w) y' + y''/w^2: the mean of u over an epoch needs y and y' at its ends only. The inverse has
  * no delay, and the sensor's noise, which entered ahead of the filter, comes out white again.
  */
 #include "streams.h"
@@ -18,7 +18,7 @@
 #define GAP_PERIODS 3.5             /* chosen: two lost samples are interpolated, more are a gap */
 #define MIN_GAP_S 0.012             /* chosen: three epochs of 4 ms; shorter gaps are interpolated at any rate */
 #define MOMENT_GAP_PERIODS 1.6      /* derived: a single lost sample leaves a gap of two periods */
-#define MOMENT_SAMPLES 2.9          /* chosen: three samples an epoch, less tolerance of the rate, make a first moment */
+#define MOMENT_SAMPLES 2.9          /* chosen: three samples an epoch, less the rate's tolerance, make a first moment */
 #define LATE_AFTER_PERIODS 0.4      /* chosen: two samples sent in one go behind a gap */
 #define LATE_BEFORE_PERIODS 1.3     /* chosen: as before */
 #define SATURATION_MARGIN 0.002     /* chosen: a value within this of the range was clipped */
@@ -440,7 +440,7 @@ static void respace(const int64_t *t_ns, int64_t n, int64_t period_ns, int64_t *
     }
 }
 
-/* Samples from `first` on and `more` behind them, respaced; whether they are in order of time (if not: as they come). */
+/* Samples from `first` on and `more` behind them, respaced; whether they are in order of time (if not, as they are). */
 EXPORT int64_t stream_append(const array *t_in, const array *values_in, int64_t first, const array *more_t_in,
                              const array *more_in, int64_t period_ns, const array *t_out, const array *values_out)
 {
@@ -449,7 +449,8 @@ EXPORT int64_t stream_append(const array *t_in, const array *values_in, int64_t 
     const double *values = reals(values_in, 2, &good), *more = reals(more_in, 2, &good);
     int64_t *all_ns = integers(t_out, 1, &good);
     double *all = reals(values_out, 2, &good);
-    int64_t kept = extent(t_in, 0) - first, added = extent(more_t_in, 0), n = kept + added, width = extent(values_in, 1);
+    int64_t kept = extent(t_in, 0) - first, added = extent(more_t_in, 0), n = kept + added;
+    int64_t width = extent(values_in, 1);
     if (!good || first < 0 || kept < 0 || extent(values_in, 0) != extent(t_in, 0) || extent(more_in, 0) != added ||
         extent(more_in, 1) != width || extent(t_out, 0) < n || extent(values_out, 0) < n ||
         extent(values_out, 1) != width)

@@ -32,14 +32,17 @@ static void differentiate(const double *rates, int64_t n, double step_s, double 
 }
 
 /* Image motion, what a slope rate adds to it, slope accelerations and expected rms blur over n > 1 instants. */
-EXPORT int64_t trigger_streaks(const motion_maps *motion_maps, const array *rates_in, const array *covariance_in, double step_s,
-                               const array *shifts_ns_in, const array *sigmas_ns_in, const array *body_rate_in,
-                               const array *velocity_in, double nearness, const streaks *out)
+EXPORT int64_t trigger_streaks(const motion_maps *motion_maps, const array *rates_in, const array *covariance_in,
+                               double step_s, const array *shifts_ns_in, const array *sigmas_ns_in,
+                               const array *body_rate_in, const array *velocity_in, double nearness,
+                               const streaks *out)
 {
     bool good = true;
-    const double *by_rate = reals(motion_maps->by_rate, 3, &good), *by_velocity = reals(motion_maps->by_velocity, 3, &good);
+    const double *by_rate = reals(motion_maps->by_rate, 3, &good);
+    const double *by_velocity = reals(motion_maps->by_velocity, 3, &good);
     const double *by_lever = reals(motion_maps->by_lever, 3, &good), *by_slope = reals(motion_maps->by_slope, 2, &good);
-    const double *by_lift = reals(motion_maps->by_lift, 2, &good), *exposure_s = reals(motion_maps->exposure_s, 1, &good);
+    const double *by_lift = reals(motion_maps->by_lift, 2, &good);
+    const double *exposure_s = reals(motion_maps->exposure_s, 1, &good);
     const double *rates = reals(rates_in, 2, &good), *covariance = reals(covariance_in, 3, &good);
     const double *shifts_ns = reals(shifts_ns_in, 1, &good), *sigmas_ns = reals(sigmas_ns_in, 1, &good);
     const double *body_rate = reals(body_rate_in, 1, &good), *velocity = reals(velocity_in, 1, &good);

@@ -73,7 +73,7 @@ static void describe(const double *log_params, int64_t count, double reference_h
         int64_t at = place_of(k);
         double square = squared(v[at + COHERENCE]), first = squared(reference_hz), own = squared(v[at]);
         f->coherence[k] = (square - 1.0) / (square + 1.0);
-        f->ratio[k] = v[at + LOAD] / v[LOAD]; /* all loads have one shape, and each is stated at a frequency of its own */
+        f->ratio[k] = v[at + LOAD] / v[LOAD]; /* all loads have one shape, each is stated at its own frequency */
         for (int64_t which = CORNER_1; which <= CORNER_2; which++)
             f->ratio[k] *= (squared(v[which]) + own) / (squared(v[which]) + first);
     }
@@ -280,7 +280,8 @@ static bool read_grid(const grid_record *record, grid *g)
 
 static bool fits_family(int64_t count)
 {
-    return count >= FIRST_PARAMETERS && count <= MOST_PARAMETERS && (count - FIRST_PARAMETERS) % FURTHER_PARAMETERS == 0;
+    return count >= FIRST_PARAMETERS && count <= MOST_PARAMETERS &&
+           (count - FIRST_PARAMETERS) % FURTHER_PARAMETERS == 0;
 }
 
 /* Density (1, n), or density and derivatives (1 + p, n), of a family at its log parameters (p,). */

@@ -35,6 +35,17 @@ def test_no_file_is_longer_than_400_lines() -> None:
     assert longer == {}, "split the file by what it holds"
 
 
+def test_no_line_of_c_is_longer_than_120_columns() -> None:
+    """As ruff says of Python."""
+    longer = [
+        f"{path.name}:{number}"
+        for path in sorted((ROOT / "companion" / "native").glob("*.[ch]"))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if len(line) > 120
+    ]
+    assert longer == []
+
+
 def _code(path: Path) -> list[tuple[int, str]]:
     """Numbered lines of code: no blank line, comment, docstring or import."""
     text = path.read_text(encoding="utf-8")
