@@ -198,9 +198,9 @@ class Planner:
             return self._tick(Firing.CALM, blur, now_ns)
         if self.settings.trigger_policy == Policy.TIMER:
             return self._tick(Firing.TIMER, blur, now_ns)
-        if isinstance(forecast, Reject) or blur is None:
-            reason = forecast if isinstance(forecast, Reject) else Reject.NO_MODE
-            return self._tick(Firing.SKIP, None, now_ns, reason)
+        if isinstance(forecast, Reject):
+            return self._tick(Firing.SKIP, None, now_ns, forecast)
+        assert blur is not None  # there is a forecast
         if validity is not Validity.TRACKING:
             return self._tick(Firing.SKIP, blur, now_ns, _WHY[validity])
         return self._peak(self._instants(forecast, blur, now_ns), blur, now_ns)
