@@ -163,7 +163,7 @@ class StateLayout:
     @property
     def bias_states(self) -> slice:
         """All drifting biases."""
-        return slice(self.roll_accel + 1, self.size)
+        return slice(self.roll_accel + 1, self.roll_accel + 1 + len(self.row_bias_states))
 
 
 def make_layout(airframe: Airframe) -> StateLayout:
