@@ -67,7 +67,7 @@ class WingTracker:
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._fresh = functools.partial(fresh_filter, self._layout, self._noise, airframe.wing, self._keep)
         self._forecaster = Forecaster(self._layout)
-        self._body_rates = BodyRates(self._keep)
+        self._body_rates = BodyRates(self._keep, self._step_s)
         self._start_ns: int | None = None
         self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
