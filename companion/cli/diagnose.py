@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose; a verdict is exit code 0, that nothing can be told from these recordings 3."""
-    inputs = [Path(name) for name in (*options.recordings, options.airframe) if name]
+    inputs = [Path(name) for name in (*options.recordings, options.airframe, options.mapping) if name]
     for option in ("json", "html", "apply"):
         path = getattr(options, option)
         check_output(Path(path) if path else None, f"--{option}", inputs)

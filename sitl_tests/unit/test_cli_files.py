@@ -35,6 +35,28 @@ def test_a_table_of_a_laboratorys_folder_is_not_overwritten(tmp_path: Path) -> N
     check_output(tmp_path / "found.json", "--json", [tmp_path])
 
 
+@pytest.mark.parametrize("name", ["run.csv", "run.txt", "mapping.toml", "mapping.json"])
+def test_a_table_or_mapping_that_is_named_itself_is_not_overwritten(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("t_s\n")
+    with pytest.raises(ConfigError, match="is what is read"):
+        check_output(tmp_path / name, "--json", [tmp_path / name])
+    if name == "run.txt":
+        with pytest.raises(ConfigError, match="is what is read"):
+            check_output(tmp_path / name, "--html", [tmp_path])
+
+
+@pytest.mark.parametrize("option", ["--json", "--html"])
+def test_diagnose_leaves_its_recording_and_its_mapping_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    table, mapping = tmp_path / "run.csv", tmp_path / "mapping.toml"
+    for path in (table, mapping):
+        path.write_text("as it was\n")
+        assert main(["diagnose", str(table), "--mapping", str(mapping), option, str(path)]) == 1
+        assert "is what is read" in capsys.readouterr().err
+        assert path.read_text() == "as it was\n"
+
+
 @pytest.mark.parametrize("command", [["replay", "--out"], ["report", "--out"]])
 def test_replay_and_report_leave_their_recording_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]

@@ -19,6 +19,9 @@ from companion.params.settings import Settings
 from companion.params.toml import read_toml, settings_of
 
 
+_RESULTS = (".html", ".json", ".mcap", ".toml")  # never tables of a laboratory's folder (convention)
+
+
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """``--settings FILE`` and ``--set NAME=VALUE``."""
     parser.add_argument("--settings", type=Path, metavar="FILE", help="TOML file of NAME = value lines (see params)")
@@ -91,8 +94,8 @@ def check_output(path: Path | None, option: str, inputs: Sequence[Path] = ()) ->
     """
     if path is None or str(path) == "-":
         return
-    holder = path.parent if path.suffix == ".csv" else path  # a table of a laboratory's folder
-    if path.exists() and any(entry.exists() and entry.samefile(holder) for entry in inputs):
+    read = (path,) if path.suffix.lower() in _RESULTS else (path, path.parent)
+    if path.exists() and any(entry.exists() and entry.samefile(each) for entry in inputs for each in read):
         raise ConfigError(f"{option} {path}: is what is read, and would be overwritten; name another file")
     if path.is_dir():
         raise ConfigError(f"{option} {path}: is a folder; name a file")
