@@ -18,7 +18,6 @@ from companion.params.persist import load_stored
 from companion.params.settings import Settings
 from companion.params.toml import read_toml, settings_of
 
-
 _RESULTS = (".html", ".json", ".mcap", ".toml")  # never tables of a laboratory's folder (convention)
 
 

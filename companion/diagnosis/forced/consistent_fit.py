@@ -89,9 +89,7 @@ def consistent_fit(
     used = [*range(3), *(3 + i for i, name in enumerate(LAWS) if name in laws)]
     names = (*LINEAR, *(name for name in LAWS if name in laws), *([DELAY] if len(late) else []))
     theta, rest = start, np.zeros(len(late))
-    per_recording = np.cumsum([len(even.force) for even in rows.grids])[:-1]
-    slopes = tuple(np.split(rows.slopes, per_recording, axis=2))
-    columns = _Columns(real_rows(rows.table[1:]), np.zeros((0, 0)), slopes, None, False)
+    columns = _Columns(real_rows(rows.table[1:]), np.zeros((0, 0)), rows.slopes_by_recording, None, False)
     try:
         for turn in range(_TURNS):
             if turn < _FREE:
@@ -113,14 +111,8 @@ def consistent_fit(
 
 
 def _noise(rows: EquationRows, residual: Floats, theta: Floats, columns: _Columns) -> _Noise:
-    """Likeliest noise by what the rows leave: the slopes of a sweep's laws are large in one segment alone."""
-    each = [
-        dynamic_stiffness(omega, kind, theta, columns.slopes[segment.recording], segment)
-        for omega, kind, segment in zip(
-            rows.by_segment(rows.omega), rows.by_segment(rows.kind), rows.segments, strict=True
-        )
-    ]
-    dynamic = np.tile(np.concatenate(each), 2)
+    """Likeliest noise by what the rows leave."""
+    dynamic = np.tile(dynamic_stiffness(rows, theta, columns.slopes), 2)
     level = float(dynamic.mean())
     together, rho = beside_noise_of_force(dynamic / level, residual)
     row = float(np.mean((residual / together) ** 2))

@@ -18,7 +18,7 @@ from companion.diagnosis.forced.even_recording import EvenRecording
 from companion.diagnosis.forced.force_delay import real_rows
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
-from companion.records import Bools, Complexes, Floats
+from companion.records import Bools, Complexes, Floats, Ints
 
 _SEGMENTS = 10  # of all recordings together, held out one by one (choice)
 _LEAST_BINS = 8  # chosen: bins of the band in a segment, more than the parameters of a mode
@@ -29,14 +29,21 @@ _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was ex
 _EXCITED = 0.01  # of the segment's largest power of the force, from which a bin is excited (choice)
 _ABOVE_NOISE = 100.0  # chosen, times the response's least power in the band: noise moves such a bin little
 _MOST_NOISE = 0.05  # chosen, of an integrated deflection's power: a cube came out 31 % too small at 0.14, 3 % at 0.02
+_MIDDLE = 0.3  # chosen, standard deviations of the deflection: a gap that a fifth of the motion crosses
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q * q * q),
     QuadraticStiffness.name: ("per squared deflection", lambda q, _v: q**2),
     QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
     CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
 }
+NAMELESS: dict[str, Callable[[Floats, Floats], Floats]] = {
+    "a spring with another stiffness about the middle": lambda q, _v: np.tanh(q / (_MIDDLE * q.std())),
+    "a spring whose force turns with the deflection's sign": lambda q, _v: np.abs(q) * q,
+}
+"""Laws that no catalogue has: a gap, a stop or a clamp that slips shows in them as in no polynomial."""
 Numbers = TypeVar("Numbers", Floats, Complexes)
 _SIGN = list(LAWS).index(CoulombFriction.name)
+_NAMED = tuple(law for _, law in LAWS.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +112,16 @@ class EquationRows:
         return np.split(values, np.cumsum([int(segment.bins.sum()) for segment in self.segments])[:-1], axis=-1)
 
     @property
+    def recording(self) -> Ints:
+        """Number of each bin's recording, (n,)."""
+        return np.repeat([segment.recording for segment in self.segments], [int(s.bins.sum()) for s in self.segments])
+
+    @property
+    def slopes_by_recording(self) -> tuple[Floats, ...]:
+        """Slopes of the laws of each recording over deflection and speed, (2, laws, samples) each."""
+        return tuple(np.split(self.slopes, np.cumsum([len(even.force) for even in self.grids])[:-1], axis=2))
+
+    @property
     def slopes(self) -> Floats:
         """Slopes of the laws over deflection and speed, (2, laws, samples); of a sign the nearest line's."""
         q, v = self.motions
@@ -153,6 +170,16 @@ def equation_rows(
     return EquationRows(*shown, table, omega, kinds_of, block, motion, power, tuple(segments))
 
 
+def nameless_columns(rows: EquationRows) -> Floats:
+    """Real rows (laws, 2 * n) of the laws without a name."""
+    laws = tuple(NAMELESS.values())
+    series = []
+    for entry, even in zip(rows.recordings, rows.grids, strict=True):
+        spectrum, jw = _motion_spectrum(even, rows.band_hz, entry.kind)
+        series.append(_in_time(_law_spectra(spectrum, jw, len(even.force), laws), len(even.force)))
+    return real_rows(np.concatenate([segment.rows(series[segment.recording]) for segment in rows.segments], axis=1))
+
+
 def refuse_integrated_noise(rows: EquationRows) -> None:
     """Noise of a speed or an acceleration grows towards low frequencies by integration, and laws take it for motion.
 
@@ -181,7 +208,7 @@ def beyond_half_rate(rows: EquationRows, linear: Floats, laws: Floats) -> float:
     for entry, even in zip(rows.recordings, rows.grids, strict=True):
         spectrum, jw = _motion_spectrum(even, rows.band_hz, entry.kind)
         omega = 2.0 * np.pi * np.fft.rfftfreq(FINER * len(even.force), 1.0 / (FINER * even.rate_hz))
-        moved = laws @ _law_spectra(spectrum, jw, len(even.force)) / (k + 1j * omega * c - omega**2 * m)
+        moved = laws @ _law_spectra(spectrum, jw, len(even.force), _NAMED) / (k + 1j * omega * c - omega**2 * m)
         ratios.append(float(np.linalg.norm(moved[omega > np.pi * even.rate_hz]) / np.linalg.norm(spectrum)))
     return max(ratios)
 
@@ -206,10 +233,17 @@ def integration(even: EvenRecording, band_hz: tuple[float, float], kind: Respons
     return np.asarray(measured / np.where(measured & (kind > 0), jw, 1.0) ** kind, dtype=np.complex128), jw
 
 
-def _law_spectra(spectrum: Complexes, jw: Complexes, count: int) -> Complexes:
-    """Spectra of the laws at several times the rate, (laws, f)."""
+def _law_spectra(
+    spectrum: Complexes, jw: Complexes, count: int, laws: Sequence[Callable[[Floats, Floats], Floats]]
+) -> Complexes:
+    """Spectra of laws at several times the rate, (laws, f)."""
     fine_q, fine_v = (np.fft.irfft(spectrum * jw**power, FINER * count) * FINER for power in (0, 1))
-    return np.stack([np.fft.rfft(law(fine_q, fine_v)) / FINER for _, law in LAWS.values()])
+    return np.stack([np.fft.rfft(law(fine_q, fine_v)) / FINER for law in laws])
+
+
+def _in_time(spectra: Complexes, count: int) -> list[Floats]:
+    """Laws at the recording's own rate, (count,) each, by their spectra at several times it."""
+    return [np.fft.irfft(law[: count // 2 + 1], count) for law in spectra]
 
 
 def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKind) -> list[Floats]:
@@ -217,8 +251,7 @@ def _series(even: EvenRecording, band_hz: tuple[float, float], kind: ResponseKin
     count = len(even.force)
     spectrum, jw = _motion_spectrum(even, band_hz, kind)
     deflection, v, a = (np.fft.irfft(spectrum * jw**power, count) for power in (0, 1, 2))
-    laws = _law_spectra(spectrum, jw, count)[:, : len(jw)]
-    return [even.force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
+    return [even.force, a, v, deflection, *_in_time(_law_spectra(spectrum, jw, count, _NAMED), count)]
 
 
 def _segments(

@@ -23,10 +23,12 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.diagnosis.forced.consistent_fit import DELAY, LINEAR, ConsistentFit, consistent_fit
 from companion.diagnosis.forced.equation_rows import (
     LAWS,
+    NAMELESS,
     EquationRows,
     ForcedRecording,
     beyond_half_rate,
     equation_rows,
+    nameless_columns,
     refuse_integrated_noise,
 )
 from companion.diagnosis.forced.even_recording import EvenRecording, evenly
@@ -34,8 +36,9 @@ from companion.diagnosis.forced.force_delay import error_ratio, least_error, rea
 from companion.diagnosis.forced.noise_bias import NoiseShare, added_by_noise
 from companion.diagnosis.forced.response_kind import ResponseKind, another_kind
 from companion.diagnosis.forced.row_noise import profile_log_likelihood, row_noise
+from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
-from companion.diagnosis.selection.recordings import Cause, Progress
+from companion.diagnosis.selection.recordings import Cause, Progress, SelectionPath
 from companion.diagnosis.selection.regression import (
     Coefficient,
     RegressionFit,
@@ -54,6 +57,8 @@ _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows
 _MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
 _FAR_FROM_ZERO = 5.0  # chosen, standard deviations of the response: a cube was explained at 5, not so at 10
 _MOST_ALIASED = 0.005  # chosen, of the deflection's rms: a cubic was 5 sigma off at 0.010, 1 sigma at 0.002
+# chosen, nat: true laws left at most 8 to one without a name (26 recordings), others 255 and more (10)
+_MOST_GAIN = 30.0
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
 
@@ -116,7 +121,26 @@ class ForcedDiagnosis:
 
 
 class _Forced(Regressions):
-    """Rows of the equation of motion, and the laws that may explain them."""
+    """Rows of the equation of motion, and the laws that may explain them, with and without a name."""
+
+    def __init__(
+        self, response: RegressionResponse, laws: Sequence[RegressionTerm], nameless: Sequence[RegressionTerm]
+    ) -> None:
+        super().__init__([response], laws)
+        self._nameless = tuple(nameless)
+
+    def objection(
+        self, null: RegressionFit, before: Sequence[Check], path: SelectionPath[RegressionTerm, RegressionModel]
+    ) -> str:
+        """A law without a name that the accepted ones leave room for, in words."""
+        del null, before
+        accepted = path.fitted
+        gains = {
+            term.name: self.fit((*accepted.terms, term), accepted).log_likelihood - accepted.log_likelihood
+            for term in self._nameless
+        }
+        name = max(gains, key=lambda each: gains[each])
+        return f"{name} explains more (by {gains[name]:.0f} nat)" if gains[name] > _MOST_GAIN else ""
 
     def plausible(self, fitted: RegressionFit) -> bool:
         """Whether no law of damping feeds energy in: one that does stands for another law."""
@@ -198,11 +222,16 @@ def _regressions(rows: EquationRows, equation: _WeightedEquation, delay_s: float
     response = RegressionResponse(
         FORCE, force, equation.noise, group, block, omega, *bounds, linear, independent_ratio=_INDEPENDENT
     )
-    terms = [
-        RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
-        for (name, (unit, _)), column in zip(LAWS.items(), equation.columns[3:], strict=True)
-    ]
-    return _Forced([response], terms)
+    units = [unit for unit, _ in LAWS.values()]
+    laws = [_term(*each) for each in zip(LAWS, equation.columns[3:], units, strict=True)]
+    further = nameless_columns(rows)
+    further *= rms / np.sqrt(np.mean(further**2, axis=1, keepdims=True))
+    nameless = [_term(name, column, "") for name, column in zip(NAMELESS, further, strict=True)]
+    return _Forced(response, laws, nameless)
+
+
+def _term(name: str, column: Floats, unit: str) -> RegressionTerm:
+    return RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
 
 
 def _noise_share(rows: EquationRows, equation: _WeightedEquation, delay_s: float) -> NoiseShare:
