@@ -388,3 +388,15 @@ def test_too_short_a_recording_says_so() -> None:
     t_s = np.arange(200) / RATE_HZ
     with pytest.raises(RecordingError, match="shorter than"):
         track(RawVibration("short", t_s, {"heave": np.sin(15.0 * t_s)}, None), BAND_HZ)
+
+
+def test_a_blow_is_left_out_wherever_it_falls_between_windows() -> None:
+    """In one place of forty the three points of its window lay on a line, and were a damping ratio of -0.5."""
+    t_s, zeta = np.arange(0.0, 30.0, 1.0 / 200.0), 0.01
+    pole = 2.0 * np.pi * 5.0 * (1j - zeta)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(t_s))
+    for k in range(40):
+        since_s = t_s - (12.0 + 0.01 * k)
+        rings = 0.05 * np.exp(pole * t_s) + np.where(since_s >= 0.0, np.exp(pole * np.maximum(since_s, 0.0)), 0.0)
+        followed = track(RawVibration("struck", t_s, {"heave": rings.real + noise}, 10.0), (2.0, 10.0))
+        assert followed.growth_radps.max() < -0.5 * zeta * abs(pole)

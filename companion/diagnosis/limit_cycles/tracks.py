@@ -18,6 +18,8 @@ from companion.records import Bools, Complexes, Floats
 
 _WINDOW = 2  # periods: as long as the averaging, short against a growth (choice)
 _UNEVEN = 0.15  # rms of ln z about its line, from which a window has a blow or a beat in it (choice)
+# chosen, growth of ln amplitude in a period: a steeper rise is a blow's though it lies on a line (damping ratio -0.08)
+_RISE = 0.5
 _LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more (choice)
 _LEAST_PASSED = 0.3  # least gain of the average over two periods by which an amplitude is divided (choice)
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
@@ -89,6 +91,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
     z, t_s = next(iter(envelopes.values())), even_s[at] - even_s[0]
     windows = [slice(first, first + _WINDOW + 1) for first in range(0, len(at) - _WINDOW, _WINDOW)]
     middle_s, offset_hz, growth_radps, uneven = np.array([_slopes(t_s[window], z[window]) for window in windows]).T
+    uneven = np.where(growth_radps * period > _RISE * rate_hz, np.inf, uneven)
     # the average over two periods takes away from what is beside its frequency
     passed = np.maximum(np.sinc(offset_hz * period / rate_hz) ** 2, _LEAST_PASSED)
     levels = {name: _levels(envelope, windows) / passed for name, envelope in envelopes.items()}
