@@ -14,6 +14,7 @@ from numba import njit
 
 from companion.cli.main import main
 from companion.diagnosis.forced.equation_rows import ForcedRecording
+from companion.diagnosis.forced.even_recording import evenly
 from companion.diagnosis.forced.json_report import as_json
 from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
@@ -134,16 +135,17 @@ def test_a_damper_of_squared_speed_is_explained() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spoil", ["lost rows", "gap", "wild sample"])
+@pytest.mark.parametrize("spoil", ["lost rows", "gap", "wild sample", "wild force"])
 def test_a_spring_is_told_in_spite_of_losses(hardening: ForcedRecording, spoil: str) -> None:
-    rows, response = np.ones(COUNT, dtype=bool), hardening.response.copy()
+    rows, response, force = np.ones(COUNT, dtype=bool), hardening.response.copy(), hardening.force.copy()
     if spoil == "lost rows":
         rows = np.random.default_rng(3).uniform(size=COUNT) > 0.002
     elif spoil == "gap":
         rows[5000:5100] = False
     else:
-        response[7777] = 100.0 * response.std()
-    spoilt = ForcedRecording("spoilt", hardening.t_s[rows], hardening.force[rows], response[rows])
+        channel = force if spoil == "wild force" else response
+        channel[7777] = 100.0 * channel.std()
+    spoilt = ForcedRecording("spoilt", hardening.t_s[rows], force[rows], response[rows])
     plain = as_json(diagnose_forced([spoilt], BAND_HZ, 3, lambda _what, _ratio: None))
     coefficient = plain["causes"][0]["parameters"]["coefficient"]
     assert coefficient["value"] == pytest.approx(4.0, abs=0.02)
@@ -421,3 +423,12 @@ def test_intervals_of_a_linear_oscillator_hold_the_truth_as_often_as_they_say() 
         pulls.append((diagnosis.linear(False) - truth) / diagnosis.linear_sigmas(False))
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=0.4)
     assert np.mean(np.abs(pulls) < 1.96) > 0.9
+
+
+def test_single_samples_that_are_the_force_are_no_wild_ones() -> None:
+    t_s, force = np.arange(COUNT) / RATE_HZ, np.zeros(COUNT)
+    force[500::1000] = 3.0
+    noise = 1e-3 * np.random.default_rng(4).standard_normal((2, COUNT))
+    even = evenly("hammer", t_s, force + noise[0], noise[1])
+    assert even.notes == ()
+    np.testing.assert_allclose(even.force, force + noise[0], atol=1e-9)

@@ -14,6 +14,7 @@ from companion.records import Bools, Floats
 _LOST = 1.6  # usual steps, from which a row is missing (choice)
 _GAP = 3.5  # usual steps, from which a step is a gap: a spline follows the band across two lost rows (choice)
 _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
+_STRUCK = 0.5  # of the force's square, from which single samples are blows of a hammer and not wild (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
 
 
@@ -46,12 +47,17 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
     lost = np.zeros(count, dtype=np.bool_)
     for k in gaps:
         lost |= (even_s > t_s[k]) & (even_s < t_s[k + 1])
-    wild = wild_samples(response)
-    many, gone, notes = int(np.count_nonzero(wild)), int(np.count_nonzero((ratio > _LOST) & (ratio <= _GAP))), []
+    channels = {"force": force, "response": response}
+    wild = {channel: wild_samples(values) for channel, values in channels.items()}
+    if np.sum(force[wild["force"]] ** 2) > _STRUCK * np.sum(force**2):
+        wild["force"] = np.zeros_like(wild["force"])
+    gone, notes = int(np.count_nonzero((ratio > _LOST) & (ratio <= _GAP))), []
     if gone:
         notes.append(f"{name}: rows are lost at {gone} places, which splines bridge")
-    if many:
-        notes.append(f"{name}: {many} wild samples of the response are left out")
+    counts = {channel: int(np.count_nonzero(each)) for channel, each in wild.items()}
+    notes += [
+        f"{name}: {count} wild samples of the {channel} are left out" for channel, count in counts.items() if count
+    ]
     if gaps.size:
         longest_s = float(step[gaps].max())
         notes.append(f"{name}: {gaps.size} gaps, the longest {longest_s:.3g} s: segments with a gap are left out")
@@ -60,7 +66,7 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
         notes.append(f"{name}: {text}")
     straight = lost | bool(ratio.min() < _CROWDED)
     even_force, even_response = (
-        np.where(straight, np.interp(even_s, at_s, values), CubicSpline(at_s, values)(even_s))
-        for at_s, values in ((t_s, force), (t_s[~wild], response[~wild]))
+        np.where(straight, np.interp(even_s, at_s, each), CubicSpline(at_s, each)(even_s))
+        for at_s, each in ((t_s[~wild[channel]], values[~wild[channel]]) for channel, values in channels.items())
     )
     return EvenRecording((count - 1) / float(t_s[-1] - t_s[0]), even_force, even_response, lost, tuple(notes))
