@@ -98,7 +98,7 @@ def test_rows_out_of_order_are_sorted_for_a_bench_test_and_told(tmp_path: Path) 
     ordered = read_mapped(path, parse_mapping(VOLTS, "lab.toml")).increasing()
     assert np.diff(ordered.t_s).min() > 0.0
     assert np.diff(ordered.channels["left_z_mps2"], n=2) == pytest.approx([0.0], abs=1e-12)  # 1, 2, 3 volts
-    assert "4 rows out of order" in ordered.notes[-1]
+    assert "stamps of 2 of 4 rows repeat or go back; 3 rows are used" in ordered.notes[-1]
 
 
 def test_a_missing_column_is_named_with_its_unit_and_with_what_is_there(tmp_path: Path) -> None:
@@ -321,3 +321,12 @@ def test_an_airspeed_that_changes_within_a_file_is_noted_and_a_negative_refused(
     assert "the airspeed goes from 10.1 to 16.6 m/s, and counts as 13.3 m/s" in notes[0]
     with pytest.raises(RecordingError, match=r"an airspeed of -12\.0 m/s is negative"):
         measured_structures._airspeed(table_of(-12.0, -12.0), notes)
+
+
+@pytest.mark.parametrize(
+    ("printed", "written"),
+    [("m/s^2", "mps2"), ("m/s²", "mps2"), ("ft/s^2", "ftps2"), ("km/h", "kmh"), ("rad/s", "radps"), ("°/s", "degps"),
+     ("µs", "us"), (" N ", "n")],
+)  # fmt: skip
+def test_a_unit_may_be_written_as_in_print(printed: str, written: str) -> None:
+    assert conversion(printed, written) == 1.0

@@ -19,6 +19,7 @@ _VOLTAGE = {"v": 1.0, "mv": 1e-3}
 _ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
 _STRAIN = {"strain": 1.0, "ustrain": 1e-6}
 _SPEED = {"mps": 1.0, "kmh": 1.0 / 3.6, "kt": 1852.0 / 3600.0}
+_PRINTED = (("km/h", "kmh"), ("²", "2"), ("^", ""), ("/", "p"), ("µ", "u"), ("μ", "u"), ("°", "deg"))
 _DIMENSIONS = (
     {**ACCELERATION, "ftps2": 0.3048}, ANGULAR_RATE, {**_FORCE, "lbf": 4.4482216152605}, _LENGTH, _TIME, _VOLTAGE,
     _ANGLE, _STRAIN, _SPEED,
@@ -50,12 +51,20 @@ def unit_of(channel: str) -> str:
 def conversion(unit: str, wanted: str) -> float | None:
     """Factor from ``unit`` to ``wanted``; None where they are of different dimensions.
 
-    A unit is written as in the names of columns; upper and lower case are the same.
+    A unit is written as in the names of columns or as in print (mps2 or m/s^2); upper and lower case are the same.
     """
-    unit, wanted = unit.lower(), wanted.lower()
+    unit, wanted = _as_in_columns(unit), wanted.lower()
     if unit == wanted:
         return 1.0
     for units in _DIMENSIONS:
         if unit in units and wanted in units:
             return units[unit] / units[wanted]
     return None
+
+
+def _as_in_columns(unit: str) -> str:
+    """A unit as the names of columns have it: m/s^2 is mps2."""
+    unit = unit.strip().lower()
+    for printed, written in _PRINTED:
+        unit = unit.replace(printed, written)
+    return unit
