@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
+from companion.diagnosis.channel_defects import is_clipped
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json as forced_json
 from companion.diagnosis.forced.recordings import diagnose_forced
@@ -47,7 +48,8 @@ _BAND_SLACK = 1.01  # chosen: a band may reach half the rate of stamps that wand
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
     """Every file of every path, read through the mapping."""
-    return [read_mapped(file, mapping).increasing() for path in paths for file in files_of(Path(path), mapping)]
+    files = [file for path in paths for file in files_of(Path(path), mapping)]
+    return [read_mapped(file, mapping).increasing().unrounded() for file in files]
 
 
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
@@ -94,8 +96,20 @@ def _free_decay(
         _checked_rate_hz(table, band_hz, [name for name in _TIPS if name in table.channels])
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
+    if not band_hz[0] < frequency_hz.value < band_hz[1]:
+        raise ConfigError(
+            f"{mapping.origin}: band_hz, {band_hz[0]:g} to {band_hz[1]:g} Hz, does not hold the believed frequency_hz, "
+            f"{frequency_hz.value:g} Hz: correct one of them"
+        )
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
     plain = ringing_json(diagnosis, scales, options.airframe)
+    plain["notes"] += [
+        f"{table.path.name}: {name} piles up at its largest or smallest value: it is clipped, which looks like a law "
+        "and changes the damping"
+        for table in tables
+        for name in _TIPS
+        if name in table.channels and is_clipped(table.channels[name])
+    ]
     return plain, lambda: ringing_page(diagnosis, scales, plain, mapping.description)
 
 
@@ -266,7 +280,7 @@ def _print_findings(plain: dict[str, Any]) -> None:
             print(f"    {error_line(cause['gain'])}")
     if plain.get("linear"):
         m, c, k, f_hz, zeta = plain["linear"]["after"].values()
-        units = f"mass {m:.5g}, damping {c:.5g}, stiffness {k:.5g} in the recording's units"
+        units = f"mass {m:.5g}, damping {c:.5g}, stiffness {k:.5g} in the units that the mapping gives"
         print(f"  linear part: {units}; {f_hz:.4g} Hz, damping ratio {zeta:.4g}")
     if plain.get("onset"):
         print(f"  onset: {plain['onset']['says']}")

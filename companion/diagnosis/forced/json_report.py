@@ -48,7 +48,7 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
 
 def _cause(diagnosis: ForcedDiagnosis, cause: Cause[RegressionTerm]) -> dict[str, Any]:
     value, sigma = diagnosis.coefficient(cause)
-    meaning = f"force {LAWS[cause.term.name][0]}, in the recording's units"
+    meaning = f"force {LAWS[cause.term.name][0]}, in the units that the mapping gives"
     return {
         **cause_head(cause, ""),
         "parameters": {"coefficient": quantity(value, sigma, "", meaning)},

@@ -78,16 +78,13 @@ def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
 
 
 def _reason(diagnosis: FreeDecayDiagnosis, named: list[int]) -> str:
-    sentences = []
-    if named:
-        sentences.append(
-            "explained so far: " + ", ".join(_with_channel(diagnosis.accepted[i].term, diagnosis) for i in named)
-        )
+    names = ", ".join(_with_channel(diagnosis.accepted[i].term, diagnosis) for i in named)
     remaining = [entry.term.key for entry in diagnosis.accepted if not entry.term.effect]
     failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in diagnosis.outcome.after if not entry.passed][:2]
-    if remaining or failed:
-        sentences.append("left over: " + "; ".join([*remaining, *failed]))
-    return "; ".join(sentences) or "a mode of constant frequency and damping explains these recordings"
+    if not (remaining or failed):
+        return names or "a mode of constant frequency and damping explains these recordings"
+    left_over = "left over: " + "; ".join([*remaining, *failed])
+    return f"explained so far: {names}; {left_over}" if names else left_over
 
 
 def _with_channel(extension: Extension, diagnosis: FreeDecayDiagnosis) -> str:

@@ -14,6 +14,7 @@ from companion.adapters.recordings.tables.csv import RANGE_OPTIONAL
 from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
 from companion.adapters.recordings.tables.mapped_text import text_columns
 from companion.adapters.recordings.tables.mapping import MatlabLayout, TableMapping
+from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.errors import RecordingError
 from companion.records import Floats
 
@@ -41,9 +42,17 @@ class MappedTable:
         t_s, rows = np.unique(self.t_s, return_index=True)
         if np.array_equal(rows, np.arange(len(self.t_s))):
             return self
-        note = f"{self.path.name}: {len(self.t_s)} rows out of order or with stamps that repeat; {len(rows)} are used"
+        wrong = int(np.sum(np.diff(self.t_s) <= 0.0))
+        text = f"stamps of {wrong} of {len(self.t_s)} rows repeat or go back; {len(rows)} rows are used"
+        note = f"{self.path.name}: {text}, in order of time"
         channels = {name: values[rows] for name, values in self.channels.items()}
         return dataclasses.replace(self, t_s=t_s, channels=channels, notes=(*self.notes, note))
+
+    def unrounded(self) -> MappedTable:
+        """The rows with rounded stamps put back onto their even grid; a note tells of it."""
+        t_s, rounded = without_rounding(self.t_s)
+        notes = (f"{self.path.name}: {rounded}",) if rounded else ()
+        return dataclasses.replace(self, t_s=t_s, notes=(*self.notes, *notes))
 
 
 def files_of(path: Path, mapping: TableMapping) -> list[Path]:
