@@ -37,7 +37,7 @@ def test_both_kinds_of_recording_judge_clipping_alike(name: str) -> None:
     """A coarse tone and a held deflection were noted as clipped in a forced oscillator, and not in a limit cycle."""
     values, clipped = CASES[name]
     assert is_clipped(values) == clipped
-    assert any("clipped" in note for note in evenly("run", T_S, TONE, values).notes) == clipped
+    assert any("clipped" in note for note in evenly("run", T_S, TONE, values, 10.0).notes) == clipped
     raw = RawVibration("run", T_S, {"heave": values}, None)
     if clipped:
         with pytest.raises(RecordingError, match="run: heave piles up at its largest or smallest value"):

@@ -29,7 +29,7 @@ _SMOOTHED = 9  # chosen: bins over which a power is averaged to tell what was ex
 _EXCITED = 0.01  # of the segment's largest power of the force, from which a bin is excited (choice)
 _ABOVE_NOISE = 100.0  # chosen, times the response's least power in the band: noise moves such a bin little
 _MOST_NOISE = 0.05  # chosen, of an integrated deflection's power: a cube came out 31 % too small at 0.14, 3 % at 0.02
-_MIDDLE = 0.3  # chosen, standard deviations of the deflection: a gap that a fifth of the motion crosses
+_MIDDLE = 0.3  # chosen, standard deviations of the deflection: a gap that shows is no narrower than a tenth
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     CubicStiffness.name: ("per cubed deflection", lambda q, _v: q * q * q),
     QuadraticStiffness.name: ("per squared deflection", lambda q, _v: q**2),

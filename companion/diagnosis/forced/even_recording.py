@@ -12,7 +12,8 @@ from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
 _LOST = 1.6  # usual steps, from which a row is missing (choice)
-_GAP = 3.5  # usual steps, from which a step is a gap: a spline follows the band across two lost rows (choice)
+_ONE_LOST, _TWO_LOST = 2.5, 3.5  # usual steps, from which a step is a gap (by definition)
+_SLOW = 0.125  # chosen, periods of the band's top in a row: a spline follows slower motion across two lost rows
 _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
 _STRUCK = 0.5  # of the force's square, from which single samples are blows of a hammer and not wild (choice)
 _CROWDED = 0.2  # of the usual step: a spline through stamps so close together would swing (choice)
@@ -29,8 +30,8 @@ class EvenRecording:
     notes: tuple[str, ...]
 
 
-def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecording:
-    """Put rows (n,) on an even grid with a sample for each that was lost.
+def evenly(name: str, t_s: Floats, force: Floats, response: Floats, top_hz: float) -> EvenRecording:
+    """Put rows (n,) of motion up to a frequency on an even grid with a sample for each that was lost.
 
     Raises
     ------
@@ -38,12 +39,13 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
         Most rows are lost.
     """
     step = np.diff(t_s)
-    ratio = step / float(np.median(step))
+    usual_s = float(np.median(step))
+    ratio, gap = step / usual_s, _TWO_LOST if top_hz * usual_s < _SLOW else _ONE_LOST
     count = len(t_s) + int(np.sum(np.rint(ratio[ratio > _LOST]) - 1.0))
     if count > _MOST_LOST * len(t_s):
         raise RecordingError(f"{name}: of {count} rows at the usual rate {len(t_s)} are there: record without losses")
     even_s = np.linspace(t_s[0], t_s[-1], count)
-    gaps = np.flatnonzero(ratio > _GAP)
+    gaps = np.flatnonzero(ratio > gap)
     lost = np.zeros(count, dtype=np.bool_)
     for k in gaps:
         lost |= (even_s > t_s[k]) & (even_s < t_s[k + 1])
@@ -51,7 +53,7 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats) -> EvenRecor
     wild = {channel: wild_samples(values) for channel, values in channels.items()}
     if np.sum(force[wild["force"]] ** 2) > _STRUCK * np.sum(force**2):
         wild["force"] = np.zeros_like(wild["force"])
-    gone, notes = int(np.count_nonzero((ratio > _LOST) & (ratio <= _GAP))), []
+    gone, notes = int(np.count_nonzero((ratio > _LOST) & (ratio <= gap))), []
     if gone:
         notes.append(f"{name}: rows are lost at {gone} places, which splines bridge")
     counts = {channel: int(np.count_nonzero(each)) for channel, each in wild.items()}

@@ -164,7 +164,7 @@ def diagnose_forced(
         the response is another derivative of the deflection than it says, its integral is noise, or force and response
         have opposite signs.
     """
-    grids = [evenly(entry.name, entry.t_s, entry.force, entry.response) for entry in recordings]
+    grids = [evenly(entry.name, entry.t_s, entry.force, entry.response, band_hz[1]) for entry in recordings]
     step_s = 1.0 / _common_rate_hz(recordings, grids)
     rows = equation_rows(recordings, grids, band_hz)
     start_s = _aligned(rows, step_s)
