@@ -41,6 +41,7 @@ _RESPONSE = "response_"
 _FORCE = "input_n"
 _AIRSPEED = "airspeed_mps"
 _INPUT = "input_"
+_LINEAR = ("mass", "damping", "stiffness")
 _STILL_MPS = 1.0  # chosen: less is an airspeed sensor's zero
 _STEADY = 0.1  # of the mean: more is a sweep, and no airspeed of a recording (choice)
 _BAND_SLACK = 1.01  # chosen: a band may reach half the rate of stamps that wander a little
@@ -279,9 +280,10 @@ def _print_findings(plain: dict[str, Any]) -> None:
         if cause["gain"]:
             print(f"    {error_line(cause['gain'])}")
     if plain.get("linear"):
-        m, c, k, f_hz, zeta = plain["linear"]["after"].values()
-        units = f"mass {m:.5g}, damping {c:.5g}, stiffness {k:.5g} in the units that the mapping gives"
-        print(f"  linear part: {units}; {f_hz:.4g} Hz, damping ratio {zeta:.4g}")
+        linear = plain["linear"]["after"]
+        values = [f"{name} {linear[name]:.5g} ± {linear[f'{name}_sigma']:.2g}" for name in _LINEAR]
+        print(f"  linear part: {', '.join(values)} in the units that the mapping gives;")
+        print(f"    {linear['frequency_hz']:.4g} Hz, damping ratio {linear['damping_ratio']:.4g}")
     if plain.get("onset"):
         print(f"  onset: {plain['onset']['says']}")
     for entry in plain.get("held_out_speeds", []):

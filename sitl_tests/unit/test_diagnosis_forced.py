@@ -88,6 +88,7 @@ def test_a_cubic_spring_is_found_with_its_coefficient(hardening: ForcedRecording
     assert after < 0.02 < 0.2 < before
     assert plain["linear"]["after"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
     assert plain["linear"]["after"]["damping_ratio"] == pytest.approx(ZETA, rel=0.02)
+    assert abs(plain["linear"]["after"]["stiffness"] - 1.0) < 4.0 * plain["linear"]["after"]["stiffness_sigma"] < 0.01
 
 
 @pytest.mark.slow

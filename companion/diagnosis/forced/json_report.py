@@ -101,10 +101,12 @@ def _gain(diagnosis: ForcedDiagnosis) -> dict[str, Any] | None:
 def _linear(diagnosis: ForcedDiagnosis, extended: bool) -> dict[str, float]:
     m, c, k = diagnosis.linear(extended).tolist()
     root = math.sqrt(max(k * m, 0.0))
+    sigmas = zip(("mass_sigma", "damping_sigma", "stiffness_sigma"), diagnosis.linear_sigmas(extended), strict=True)
     return {
         "mass": m,
         "damping": c,
         "stiffness": k,
         "frequency_hz": math.sqrt(max(k / m, 0.0)) / (2.0 * math.pi),
         "damping_ratio": 0.5 * c / root if root else 0.0,
+        **{name: float(sigma) for name, sigma in sigmas},
     }

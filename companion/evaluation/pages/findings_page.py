@@ -48,8 +48,8 @@ def _linear_part(linear: dict[str, Any] | None) -> list[Block]:
             name,
             f"{entry['frequency_hz']:.4g} Hz",
             f"{entry['damping_ratio']:.3g}",
-            f"{entry['stiffness']:.4g}",
-            f"{entry['mass']:.4g}",
+            f"{entry['stiffness']:.5g} ± {entry['stiffness_sigma']:.2g}",
+            f"{entry['mass']:.5g} ± {entry['mass_sigma']:.2g}",
         ]
         for name, entry in (("linear", linear["before"]), ("extended", linear["after"]))
     ]
