@@ -437,3 +437,14 @@ def test_single_samples_that_are_the_force_are_no_wild_ones() -> None:
     even = evenly("hammer", t_s, force + noise[0], noise[1], BAND_HZ[1])
     assert even.notes == ()
     np.testing.assert_allclose(even.force, force + noise[0], atol=1e-9)
+
+
+def test_stamps_that_wander_are_told_and_are_no_losses() -> None:
+    rng = np.random.default_rng(8)
+    t_s, noise = np.arange(COUNT) / RATE_HZ, rng.standard_normal((2, COUNT))
+    wandering = np.sort(t_s + 0.2 / RATE_HZ * rng.standard_normal(COUNT))
+    even = evenly("wandering", wandering, noise[0], noise[1], BAND_HZ[1])
+    assert len(even.force) == COUNT
+    (said,) = even.notes
+    assert "stamps wander by" in said
+    assert evenly("even", t_s, noise[0], noise[1], BAND_HZ[1]).notes == ()

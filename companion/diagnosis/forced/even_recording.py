@@ -12,6 +12,7 @@ from companion.errors import RecordingError
 from companion.records import Bools, Floats
 
 _LOST = 1.6  # usual steps, from which a row is missing (choice)
+_EVEN = 0.05  # chosen, usual steps, median: stamps that wander by more make a long step of no loss
 _ONE_LOST, _TWO_LOST = 2.5, 3.5  # usual steps, from which a step is a gap (by definition)
 _SLOW = 0.125  # chosen, periods of the band's top in a row: a spline follows slower motion across two lost rows
 _MOST_LOST = 2.0  # rows of the even grid over those that came, at most (choice)
@@ -41,11 +42,13 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats, top_hz: floa
     step = np.diff(t_s)
     usual_s = float(np.median(step))
     ratio, gap = step / usual_s, _TWO_LOST if top_hz * usual_s < _SLOW else _ONE_LOST
-    count = len(t_s) + int(np.sum(np.rint(ratio[ratio > _LOST]) - 1.0))
+    wander = float(np.median(np.abs(ratio - 1.0)))
+    missing = ratio > (_TWO_LOST if wander > _EVEN else _LOST)
+    count = len(t_s) + int(np.sum(np.rint(ratio[missing]) - 1.0))
     if count > _MOST_LOST * len(t_s):
         raise RecordingError(f"{name}: of {count} rows at the usual rate {len(t_s)} are there: record without losses")
     even_s = np.linspace(t_s[0], t_s[-1], count)
-    gaps = np.flatnonzero(ratio > gap)
+    gaps = np.flatnonzero(missing & (ratio > gap))
     lost = np.zeros(count, dtype=np.bool_)
     for k in gaps:
         lost |= (even_s > t_s[k]) & (even_s < t_s[k + 1])
@@ -53,7 +56,10 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats, top_hz: floa
     wild = {channel: wild_samples(values) for channel, values in channels.items()}
     if np.sum(force[wild["force"]] ** 2) > _STRUCK * np.sum(force**2):
         wild["force"] = np.zeros_like(wild["force"])
-    gone, notes = int(np.count_nonzero((ratio > _LOST) & (ratio <= gap))), []
+    gone, notes = int(np.count_nonzero(missing & (ratio <= gap))), []
+    if wander > _EVEN:
+        text = f"stamps wander by {100.0 * wander:.0f} % of a row, and are taken as they are"
+        notes.append(f"{name}: {text}: if the samples are even, give them even stamps, or the law comes out wrong")
     if gone:
         notes.append(f"{name}: rows are lost at {gone} places, which splines bridge")
     counts = {channel: int(np.count_nonzero(each)) for channel, each in wild.items()}
