@@ -276,7 +276,8 @@ def _print_findings(plain: dict[str, Any]) -> None:
         channel = f" ({cause['channel']})" if cause["channel"] else ""
         print(f"  {cause['name']}{channel}: log Bayes factor {cause['log_bayes_factor']:.0f}, BIC {cause['bic']:+.0f}")
         for name, entry in cause["parameters"].items():
-            print(f"    {name} = {entry['value']:.5g} ± {entry['sigma']:.2g} {entry['unit']} ({entry['meaning']})")
+            sigma = f" ± {entry['sigma']:.2g}" if entry["sigma"] else ""
+            print(f"    {name} = {entry['value']:.5g}{sigma} {entry['unit']} ({entry['meaning']})")
         if cause["gain"]:
             print(f"    {error_line(cause['gain'])}")
     if plain.get("linear"):
