@@ -83,7 +83,6 @@ class Reject(enum.StrEnum):
     CLOCK_UNSYNCED = "clock not synced"
     STALE = "stream stopped"
     NO_MODE = "no mode to track"
-    EXCITATION_LOW = "excitation too low"
     MODE_AMBIGUOUS = "mode ambiguous"
     SATURATED = "sensor saturated"
     BEYOND_RANGE = "value beyond the sensor's range"

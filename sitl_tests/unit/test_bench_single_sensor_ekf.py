@@ -128,7 +128,7 @@ def test_a_sensor_that_reads_late_is_made_good_for() -> None:
 
 
 def test_at_rest_there_is_no_phase() -> None:
-    assert all(answer is Reject.EXCITATION_LOW for answer in _follow(np.zeros(300))[0])
+    assert all(answer is Reject.NO_MODE for answer in _follow(np.zeros(300))[0])
 
 
 def test_a_reading_that_is_no_number_only_lets_time_pass() -> None:

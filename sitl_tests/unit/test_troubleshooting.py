@@ -46,7 +46,6 @@ def test_a_sentence_that_is_not_printed_is_noticed() -> None:
 # of samples, frames and forecasts: the service shows their counts, and another row has what to do
 COUNTED_ALONE = {
     Reject.NO_MODE,
-    Reject.EXCITATION_LOW,
     Reject.BEYOND_RANGE,
     Reject.LAPSED,
     Reject.TOO_LATE,

@@ -127,7 +127,7 @@ class SingleSensorModeEkf:
         ratio = frequency / self._nominal_radps[0]
         square = p**2 + (u / ratio) ** 2
         if square <= 4.0 * max(covariance[0, 0], covariance[1, 1] / ratio**2):
-            return Reject.EXCITATION_LOW
+            return Reject.NO_MODE
         gradient = np.array([u / ratio, -p / ratio, 0.0]) / square
         drag = 2.0 * self._damping[0]  # between acceleration and -q; the ratio is known no better than to its own size
         hz = frequency / (2.0 * np.pi)
