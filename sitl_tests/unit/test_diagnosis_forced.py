@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import njit
 
 from companion.cli.main import main
 from companion.diagnosis.forced.equation_rows import ForcedRecording
@@ -20,6 +18,7 @@ from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
 from companion.errors import RecordingError
 from companion.records import Floats
+from sitl_tests.unit.forced_oscillator import deflection
 
 RATE_HZ, COUNT, FINER = 610.0, 12000, 8
 BAND_HZ = (5.0, 190.0)
@@ -45,31 +44,10 @@ def driven(
     force = np.fft.irfft(spectrum, COUNT)
     scale = LEVEL / force.std()
     fine = np.fft.irfft(scale * spectrum, 2 * COUNT * FINER) * 2 * FINER  # at every half step, exact
-    answer: Floats = _deflection(fine, cubic, drag, friction) + rng.normal(0.0, noise, COUNT)
+    step_s = 1.0 / (RATE_HZ * FINER)
+    exact: Floats = deflection(fine, step_s, FINER, REST_HZ, ZETA, cubic, drag, friction)
+    answer = exact + rng.normal(0.0, noise, COUNT)
     return ForcedRecording(f"run{seed}", np.arange(COUNT) / RATE_HZ, scale * force, answer)
-
-
-@njit(cache=True)
-def _deflection(fine: Floats, cubic: float, drag: float, friction: float) -> Floats:
-    """Deflection (COUNT,) from rest, with the force at every half step."""
-    omega, h = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * FINER)
-
-    def acceleration(q: float, v: float, u: float) -> float:
-        rubs = friction * math.tanh(v / (1e-4 * omega))  # a sign that an integrator can follow
-        return (u - q - cubic * q**3 - drag * abs(v) * v - rubs) * omega**2 - 2.0 * ZETA * omega * v
-
-    q = v = 0.0
-    shown = np.empty(COUNT)
-    for i in range(COUNT * FINER):
-        if i % FINER == 0:
-            shown[i // FINER] = q
-        u, middle, after = fine[2 * i], fine[2 * i + 1], fine[(2 * i + 2) % len(fine)]
-        a1 = acceleration(q, v, u)
-        a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, middle)
-        a3 = acceleration(q + 0.5 * h * v + 0.25 * h * h * a1, v + 0.5 * h * a2, middle)
-        a4 = acceleration(q + h * v + 0.5 * h * h * a2, v + h * a3, after)
-        q, v = q + h * v + h * h / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return shown
 
 
 @pytest.fixture(scope="module")

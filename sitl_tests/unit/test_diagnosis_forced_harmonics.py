@@ -11,6 +11,7 @@ from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json
 from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.records import Floats
+from sitl_tests.unit.forced_oscillator import deflection
 
 RATE_HZ, COUNT, SUBSTEPS = 400.0, 16000, 4
 REST_HZ, ZETA, DRIVEN_HZ, BAND_HZ = 20.0, 0.02, (5.0, 40.0), (5.0, 45.0)
@@ -26,22 +27,9 @@ def motion() -> tuple[Floats, Floats]:
     spectrum[(f_hz < DRIVEN_HZ[0]) | (f_hz > DRIVEN_HZ[1])] = 0.0
     spectrum /= np.fft.irfft(spectrum, COUNT).std()
     halves = 2 * SUBSTEPS
-    u = (np.fft.irfft(spectrum, halves * COUNT) * halves).tolist()
-    omega, h, q, v, shown = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * SUBSTEPS), 0.0, 0.0, []
-
-    def acceleration(q: float, v: float, force: float) -> float:
-        return (force - q - CUBIC * q**3) * omega**2 - 2.0 * ZETA * omega * v
-
-    for i in range(0, len(u), 2):
-        if i % halves == 0:
-            shown.append(q)
-        before, middle, after = u[i], u[i + 1], u[(i + 2) % len(u)]
-        a1 = acceleration(q, v, before)
-        a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, middle)
-        a3 = acceleration(q + 0.5 * h * v + 0.25 * h * h * a1, v + 0.5 * h * a2, middle)
-        a4 = acceleration(q + h * v + 0.5 * h * h * a2, v + h * a3, after)
-        q, v = q + h * v + h * h / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return np.fft.irfft(spectrum, COUNT), np.array(shown)
+    fine = np.fft.irfft(spectrum, halves * COUNT) * halves
+    shown = deflection(fine, 1.0 / (RATE_HZ * SUBSTEPS), SUBSTEPS, REST_HZ, ZETA, CUBIC)
+    return np.fft.irfft(spectrum, COUNT), shown
 
 
 def judged(motion: tuple[Floats, Floats], every: int) -> dict[str, Any]:

@@ -4,39 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.recordings import ForcedDiagnosis, diagnose_forced
 from companion.diagnosis.selection.check import DiagnosisVerdict
-from companion.records import Floats
+from sitl_tests.unit.forced_oscillator import deflection
 
 RATE_HZ, COUNT, FINER = 500.0, 8000, 8
 BAND_HZ = (3.0, 140.0)
 REST_HZ, ZETA, LEVEL = 40.0, 0.04, 0.4
-
-
-@njit(cache=True)
-def _deflection(fine: Floats, cubic: float, gap: float) -> Floats:
-    """Deflection (COUNT,) from rest by a spring of unit stiffness, with a gap, under a force given at half steps."""
-    omega, h = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * FINER)
-
-    def acceleration(q: float, v: float, u: float) -> float:
-        spring = q - min(max(q, -gap), gap) + cubic * q**3
-        return (u - spring) * omega**2 - 2.0 * ZETA * omega * v
-
-    q = v = 0.0
-    shown = np.empty(COUNT)
-    for i in range(COUNT * FINER):
-        if i % FINER == 0:
-            shown[i // FINER] = q
-        u, middle, after = fine[2 * i], fine[2 * i + 1], fine[(2 * i + 2) % len(fine)]
-        a1 = acceleration(q, v, u)
-        a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, middle)
-        a3 = acceleration(q + 0.5 * h * v + 0.25 * h * h * a1, v + 0.5 * h * a2, middle)
-        a4 = acceleration(q + h * v + 0.5 * h * h * a2, v + h * a3, after)
-        q, v = q + h * v + h * h / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return shown
 
 
 def _driven(seed: int, *, cubic: float = 0.0, gap: float = 0.0, noise: float, grows: bool = False) -> ForcedRecording:
@@ -49,7 +25,7 @@ def _driven(seed: int, *, cubic: float = 0.0, gap: float = 0.0, noise: float, gr
     if grows:
         fine *= np.linspace(0.1, 1.0, len(fine))
     fine *= LEVEL / fine.std()
-    answer = _deflection(fine, cubic, gap)
+    answer = deflection(fine, 1.0 / (RATE_HZ * FINER), FINER, REST_HZ, ZETA, cubic, gap=gap)
     answer = answer + noise * answer.std() * rng.standard_normal(COUNT)
     return ForcedRecording(f"run{seed}", np.arange(COUNT) / RATE_HZ, fine[::finer].copy(), answer)
 
