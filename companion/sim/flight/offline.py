@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, TimesyncReply, VehicleState
+from companion.records import AutopilotParameter, ClockName, Floats, ImuBatch, TimesyncReply, VehicleState
 from companion.sim.flight.aircraft import airspeed
 from companion.sim.flight.flight import LOOP_HZ, Flight
 from companion.sim.flight.sensors import SensorStream
@@ -51,7 +51,7 @@ def _reads(stream: SensorStream, rng: np.random.Generator) -> Iterator[ImuBatch]
     arrival = np.maximum.accumulate(stream.sent_boot_ns + delay)
     edges = np.flatnonzero(np.diff(arrival // _READ_NS)) + 1
     bounds = [0, *edges.tolist(), len(arrival)]
-    axes = Axis.of(stream.sensor.sends)
+    axes = stream.sensor.axes
     for start, stop in itertools.pairwise(bounds):
         if stop > start:
             received = HOST_EPOCH_NS + int(arrival[stop - 1])

@@ -93,7 +93,7 @@ def _mapped(airframe: Airframe, station: Station) -> MappedSource:
         _fail(airframe, station, f"message '{source.message}' is not an inertial message; known: {inertial}")
     if layout.named and not source.instance:
         _fail(airframe, station, f"{source.message} needs 'instance', the name that the node gives it")
-    sends = layout.axes & Axis.of(sensor.sends)
+    sends = layout.axes & sensor.axes
     matrix = _rotation(airframe, station, source)
     if sends & Axis.GYRO and np.linalg.det(matrix) < 0:
         _fail(airframe, station, f"axes {list(source.axes)} mirror the sensor; a gyro can only be turned")
