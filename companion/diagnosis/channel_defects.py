@@ -12,7 +12,8 @@ _SPIKY = 12.0  # median steps from the median of neighbours, beyond which a samp
 _AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
 _STEEP = 6.0  # chosen: times the samples of the next value; of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4
 
-
+CLIPPED = "piles up at its largest or smallest value: it is clipped"
+"""What a channel that :func:`is_clipped` does, for a sentence that begins with its name."""
 SPIKE = 5
 """Samples of a median that a single wild one does not pass (choice)."""
 

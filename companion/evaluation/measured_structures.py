@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
-from companion.diagnosis.channel_defects import is_clipped
+from companion.diagnosis.channel_defects import CLIPPED, is_clipped
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.json_report import as_json as forced_json
 from companion.diagnosis.forced.recordings import diagnose_forced
@@ -105,8 +105,7 @@ def _free_decay(
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
     plain = ringing_json(diagnosis, scales, options.airframe)
     plain["notes"] += [
-        f"{table.path.name}: {name} piles up at its largest or smallest value: it is clipped, which looks like a law "
-        "and changes the damping"
+        f"{table.path.name}: {name} {CLIPPED}, which looks like a law and changes the damping"
         for table in tables
         for name in _TIPS
         if name in table.channels and is_clipped(table.channels[name])

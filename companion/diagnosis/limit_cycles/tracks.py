@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import medfilt
 
-from companion.diagnosis.channel_defects import SPIKE, is_clipped, wild_samples
+from companion.diagnosis.channel_defects import CLIPPED, SPIKE, is_clipped, wild_samples
 from companion.errors import RecordingError
 from companion.records import Bools, Complexes, Floats
 
@@ -120,9 +120,7 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
 def _refuse_clipped(raw: RawVibration) -> None:
     for name, values in raw.responses.items():
         if is_clipped(values):
-            raise RecordingError(
-                f"{raw.name}: {name} piles up at its largest or smallest value: it is clipped, its amplitude unknown"
-            )
+            raise RecordingError(f"{raw.name}: {name} {CLIPPED}, its amplitude unknown")
 
 
 def _leading_hz(name: str, lead: Floats, rate_hz: float, band_hz: tuple[float, float]) -> float:
