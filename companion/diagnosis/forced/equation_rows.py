@@ -109,12 +109,17 @@ class EquationRows:
 
     def by_segment(self, values: Numbers) -> list[Numbers]:
         """Values (..., n) of the bins, split into those of each segment."""
-        return np.split(values, np.cumsum([int(segment.bins.sum()) for segment in self.segments])[:-1], axis=-1)
+        return np.split(values, np.cumsum(self._bins)[:-1], axis=-1)
+
+    @property
+    def _bins(self) -> list[int]:
+        """Number of bins of each segment."""
+        return [int(segment.bins.sum()) for segment in self.segments]
 
     @property
     def recording(self) -> Ints:
         """Number of each bin's recording, (n,)."""
-        return np.repeat([segment.recording for segment in self.segments], [int(s.bins.sum()) for s in self.segments])
+        return np.repeat([segment.recording for segment in self.segments], self._bins)
 
     @property
     def slopes_by_recording(self) -> tuple[Floats, ...]:
