@@ -31,6 +31,16 @@ def test_the_autopilots_attitude_is_off_by_what_its_world_says() -> None:
     assert drawn.std(axis=0) == pytest.approx([IDEAL.level_rad, IDEAL.level_rad, IDEAL.heading_rad], rel=0.11)
 
 
+@pytest.mark.parametrize("passed_s", [0.2, 1.0, 10.0])
+def test_the_autopilots_velocity_error_changes_as_a_gauss_markov_process(passed_s: float) -> None:
+    """Between two fixes as between distant ones: variance ``2 s^2 (1 - exp(-t/T))``, T of 10 s."""
+    t_s = np.array([3.0, 3.0 + passed_s])
+    drawn = [NavigationError(IDEAL, 20.0, np.random.default_rng(k)).ned_mps(t_s) for k in range(300)]
+    changed_mps = np.array([after - before for before, after in drawn])
+    sigma_mps = IDEAL.velocity_mps * np.sqrt(2.0 * (1.0 - np.exp(-passed_s / 10.0)))
+    assert np.std(changed_mps, axis=0) == pytest.approx(np.full(3, sigma_mps), rel=0.13)
+
+
 def test_all_attitudes_of_a_flight_are_off_by_the_same(flight: Flight) -> None:
     """In the records of a flight without sockets, and on the link."""
     off_rad = flight.navigation_error().euler_rad

@@ -27,6 +27,7 @@ CRUISE_THROTTLE = 0.6
 
 # throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost (derived)
 _CLIMB_PER_MPS = 0.06
+_FIX_S = 0.2  # time between two updates of a navigation filter by its GPS (ArduPilot's default GPS1_RATE_MS, 5 Hz)
 _NAVIGATION_S = 10.0  # correlation time of a navigation filter's velocity error (choice: some updates of its GPS)
 _LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles (choice)
 
@@ -119,13 +120,14 @@ def throttle(truth: FlightTruth, t_s: Floats) -> Floats:
 class NavigationError:
     """Errors of what the autopilot's navigation filter tells.
 
-    Velocity over ground, north, east and down, wanders in :data:`_NAVIGATION_S`. ``euler_rad`` (3,), what is added to
-    roll, pitch and yaw, is constant: how the autopilot is mounted, and its compass.
+    Velocity over ground, north, east and down, is a Gauss-Markov process of :data:`_NAVIGATION_S` that each update by
+    GPS moves. ``euler_rad`` (3,), what is added to roll, pitch and yaw, is constant: how the autopilot is mounted, and
+    its compass.
     """
 
     def __init__(self, world: Conditions, duration_s: float, rng: np.random.Generator) -> None:
-        self._nodes_s = np.arange(0.0, duration_s + 2.0)
-        self._nodes_mps = world.velocity_mps * wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
+        self._nodes_s = np.arange(round(duration_s / _FIX_S) + 2) * np.float64(_FIX_S)
+        self._nodes_mps = world.velocity_mps * wandering((len(self._nodes_s), 3), _FIX_S / _NAVIGATION_S, rng)
         self.euler_rad: Floats = np.array([world.level_rad] * 2 + [world.heading_rad]) * rng.standard_normal(3)
 
     def ned_mps(self, t_s: Floats) -> Floats:
