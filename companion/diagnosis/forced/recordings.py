@@ -57,7 +57,7 @@ _SAME_RATE = 0.01  # relative difference of rates that count as equal: 0.08 rows
 _MOST_ERROR = 0.85  # chosen, of the force: noise of the response made a stiffness 2 % wrong at 0.81, 69 % at 0.89
 _FAR_FROM_ZERO = 5.0  # chosen, standard deviations of the response: a cube was explained at 5, not so at 10
 _MOST_ALIASED = 0.005  # chosen, of the deflection's rms: a cubic was 5 sigma off at 0.010, 1 sigma at 0.002
-# chosen, nat: true laws left at most 8 to one without a name (26 recordings), others 255 and more (10)
+# chosen, nat: cubes left at most 9 to a law without a name, 28 where harmonics fold back; gaps 23 to 2430 (README)
 _MOST_GAIN = 30.0
 _SURE = 5.0  # sigmas below 0 from which a coefficient counts as negative (choice)
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column (choice)
