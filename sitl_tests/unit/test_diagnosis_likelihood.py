@@ -138,7 +138,7 @@ def test_the_mean_bend_of_a_recording_is_as_uncertain_as_its_slowest_sway(
     model = FlightModel(
         believe(airframe, recorded.sides, False, has_reference), dataclasses.replace(recorded, toe=toe), TOP_HZ
     )
-    covariance = model.expect(np.zeros(len(model.belief.nuisances))).toe_posterior
+    covariance = model.expect(np.zeros(len(model.belief.nuisances))).toe_errors.posterior
     weights = np.stack([np.ones(len(t_s)), np.cos(2.0 * np.pi * t_s / recorded.duration_s)]) / len(t_s)
     mean, sway = np.einsum("ik,kl,il->i", weights, covariance, weights)
     assert sway > 0.0

@@ -16,6 +16,7 @@ from companion.diagnosis.flights.recordings import Flights, diagnose
 from companion.diagnosis.flights.rival_models import _at_nothing, _clocks, _held_alike
 from companion.diagnosis.flights.screen import screen
 from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.expectation import ToeErrors
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import expect, fit
 from companion.diagnosis.model.generic_effects import PLAY, generic_effects
@@ -60,7 +61,8 @@ def test_a_law_and_a_name_are_held_against_one_toe_covariance() -> None:
     model = flown()
     named = fit([model], ())
     (expectation,) = named.state.expectations
-    wider = dataclasses.replace(expectation, toe_posterior=1.5 * expectation.toe_posterior)
+    errors = expectation.toe_errors
+    wider = dataclasses.replace(expectation, toe_errors=ToeErrors(1.5 * errors.posterior, errors.variance))
     rival = dataclasses.replace(
         named, log_likelihood=model.log_likelihood(wider), state=dataclasses.replace(named.state, expectations=(wider,))
     )

@@ -10,7 +10,7 @@ import pytest
 from companion.diagnosis.data.observations import Observations, ToeData
 from companion.diagnosis.flights.scale_observability import scale_note, scale_sigma
 from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.expectation import Expectation, ToeErrors
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.params.files import load_airframe
 from companion.records import Floats, Side
@@ -28,8 +28,7 @@ def still(distance_m: Floats) -> tuple[FlightModel, Expectation]:
     model = FlightModel(believe(AIRFRAME, tuple(Side), True, False), observations, 40.0)
     white = dataclasses.replace(
         model.expect(np.zeros(len(model.belief.nuisances))),
-        toe_posterior=np.zeros((len(T_S), len(T_S))),
-        toe_variance=np.full(len(T_S), NOISE_RAD**2),
+        toe_errors=ToeErrors(np.zeros((len(T_S), len(T_S))), np.full(len(T_S), NOISE_RAD**2)),
     )
     return model, white
 

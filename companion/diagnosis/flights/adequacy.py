@@ -146,7 +146,7 @@ def _toe(model: FlightModel, expectation: Expectation, rng: np.random.Generator)
     """Size, neighbours and outliers of the whitened toe residual, against as much white noise."""
     if model.observations.toe is None:
         return {}
-    root = np.linalg.cholesky(expectation.toe_covariance)
+    root = np.linalg.cholesky(expectation.toe_errors.covariance)
     white = solve_triangular(root, expectation.toe_residual_rad, lower=True)
     drawn = np.stack([_of_residual(rng.standard_normal(len(root))) for _ in range(_SIMULATED)])
     names = ("range residual size", "range residual neighbours")

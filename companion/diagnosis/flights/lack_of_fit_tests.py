@@ -196,7 +196,7 @@ def _skewness(family: _TestFamily, expectations: Sequence[Expectation]) -> Float
     for recording_columns, expectation in zip(family.columns, expectations, strict=True):
         for i, entry in enumerate(recording_columns):
             if entry.toe_variance is not None and len(entry.toe_variance):
-                relative = entry.toe_variance / np.diag(expectation.toe_covariance)
+                relative = entry.toe_variance / np.diag(expectation.toe_errors.covariance)
                 relative = relative - np.mean(relative)  # how large it is as a whole is fitted
                 cubes[i] += np.sum(relative**3)
                 squares[i] += 0.5 * np.sum(relative**2)

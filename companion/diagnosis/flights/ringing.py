@@ -41,7 +41,7 @@ def neighbours_go_together(expectation: Expectation) -> bool:
     count = len(expectation.toe_residual_rad)
     if count < _FEWEST:
         return False
-    root = np.linalg.cholesky(expectation.toe_covariance)
+    root = np.linalg.cholesky(expectation.toe_errors.covariance)
     white = solve_triangular(root, expectation.toe_residual_rad, lower=True)
     power = float(np.mean(white**2))
     z = [float(np.sum(white[lag:] * white[:-lag]) / np.sqrt(count - lag)) / power for lag in range(1, _LAGS + 1)]

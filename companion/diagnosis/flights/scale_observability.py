@@ -25,7 +25,7 @@ def scale_sigma(models: Sequence[FlightModel], expectations: Sequence[Expectatio
         if toe is not None and toe.has_reference:
             baseline_m = model.baseline_m
             columns = np.stack([np.full(len(toe.t_s), 1.0), baseline_m * toe.inverse_m], 1)
-            information += columns.T @ expectation.toe_precision @ columns
+            information += columns.T @ expectation.toe_errors.precision @ columns
     left = _beside_the_first(information)
     return float(1.0 / np.sqrt(left)) if left > 0.0 else float("inf")
 

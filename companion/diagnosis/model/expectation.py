@@ -64,6 +64,46 @@ class Motion(Protocol):
         """Smoothed modal deflection and speed, (n, m) each."""
 
 
+@dataclass(frozen=True, eq=False)
+class ToeErrors:
+    """Errors of a toe residual at k exposures. Models whose errors are equal share one, so that it is factored once.
+
+    Attributes
+    ----------
+    posterior : (k, k)
+        Covariance of the toe that the accelerations leave, rad^2.
+    variance : (k,)
+        Of the matching, and of exposures that wander, rad^2.
+    """
+
+    posterior: Floats
+    variance: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the residual, (k, k), rad^2."""
+        covariance = self.posterior.copy()
+        covariance.flat[:: len(covariance) + 1] += self.variance
+        return covariance
+
+    @cached_property
+    def factor(self) -> Floats:
+        """Cholesky's factor of it, (k, k); only the lower triangle means anything."""
+        # transposed, which it equals, it lies in memory as LAPACK wants it and is factored in place
+        return np.asarray(cho_factor(self.covariance.T, lower=True, overwrite_a=True, check_finite=False)[0])
+
+    @cached_property
+    def precision(self) -> Floats:
+        """Inverse of it, (k, k)."""
+        inverse: Floats = dpotri(self.factor, lower=1)[0]
+        symmetric: Floats = np.where(np.tri(len(inverse), dtype=np.bool_), inverse, inverse.T)
+        return symmetric
+
+    def with_variance(self, variance: Floats) -> ToeErrors:
+        """These errors with another variance (k,); the same ones where it is equal."""
+        return self if np.array_equal(variance, self.variance) else ToeErrors(self.posterior, variance)
+
+
 @dataclass(frozen=True)
 class Expectation:
     """A model held against a recording of c accelerometers, b frequencies in the band, k exposures, n modes, m samples.
@@ -73,18 +113,15 @@ class Expectation:
     motion : Motion
         What it makes of the accelerations.
     toe_residual_rad : (k,)
-    toe_posterior : (k, k)
-        Covariance of the toe that the accelerations leave.
-    toe_variance : (k,)
-        Of the matching, and of exposures that wander.
+    toe_errors : ToeErrors
+        Their covariance.
     rest_residual, rest_variance : (c,) or (c + 1,)
         Residual and variance of the sensors' means at rest, m/s^2, and of the delay by the recoil (last entry), s.
     """
 
     motion: Motion
     toe_residual_rad: Floats
-    toe_posterior: Floats
-    toe_variance: Floats
+    toe_errors: ToeErrors
     rest_residual: Floats
     rest_variance: Floats
 
@@ -121,19 +158,3 @@ class Expectation:
     def qdot_mps(self) -> Floats:
         """Their rates, (n, m)."""
         return self.motion.in_time[1]
-
-    @property
-    def toe_covariance(self) -> Floats:
-        """Covariance of the toe residual, (k, k), rad^2."""
-        return self.toe_posterior + np.diag(self.toe_variance)
-
-    @cached_property
-    def toe_factor(self) -> Floats:
-        """Cholesky's factor of it, (k, k); only the lower triangle means anything."""
-        return np.asarray(cho_factor(self.toe_covariance, lower=True, check_finite=False)[0])
-
-    @property
-    def toe_precision(self) -> Floats:
-        """Inverse of it, (k, k)."""
-        lower = np.tril(dpotri(self.toe_factor, lower=1)[0])
-        return np.asarray(lower + np.tril(lower, -1).T)

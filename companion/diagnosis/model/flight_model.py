@@ -19,7 +19,7 @@ from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief, Nuisance, input_gains, is_range_only
 from companion.diagnosis.model.effect_term import EffectTerm
-from companion.diagnosis.model.expectation import Expectation, Motion
+from companion.diagnosis.model.expectation import Expectation, Motion, ToeErrors
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
 from companion.diagnosis.model.motion import RecordedSpectra, SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
@@ -85,7 +85,8 @@ class FlightModel:
         terms : sequence of EffectTerm
             Named effects in force.
         near : Expectation, optional
-            Of a neighbouring model. Its ``toe_posterior``, which is slow to compute, and all that is equal are reused.
+            Of a neighbouring model. The posterior of its toe, which is slow to compute, and all that is equal are
+            reused.
         small_step : bool
             Whether ``near`` is one step of a difference quotient away: forces then act on its motion.
         """
@@ -94,12 +95,14 @@ class FlightModel:
         effects = tuple(term.effect for term in terms)
         wing = WingModel(self.belief.wing(deviation), effects)
         motion = self._motion(wing, terms, deviation, near, small_step)
-        posterior = near.toe_posterior if near is not None else np.zeros((0, 0))
-        toe, variance = np.zeros(0), np.zeros(0)
+        toe, errors = np.zeros(0), ToeErrors(np.zeros((0, 0)), np.zeros(0))
         if self._toe is not None:
             toe, variance = self._toe.residual(wing, effects, deviation, motion)
-            posterior = self._toe.posterior(wing, effects, motion) if near is None else posterior
-        return Expectation(motion, toe, posterior, variance, *self._rest(effects, deviation))
+            if near is not None:
+                errors = near.toe_errors.with_variance(variance)
+            else:
+                errors = ToeErrors(self._toe.posterior(wing, effects, motion), variance)
+        return Expectation(motion, toe, errors, *self._rest(effects, deviation))
 
     def acceleration_spectrum(self, deviations: Floats) -> Complexes:
         """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""
@@ -121,7 +124,7 @@ class FlightModel:
             mahalanobis = quadratic_form(expectation.inverse, expectation.residual)
             scores["acceleration"] = -self.weight * (spread + mahalanobis)
         if len(expectation.toe_residual_rad):
-            factor, residual = expectation.toe_factor, expectation.toe_residual_rad
+            factor, residual = expectation.toe_errors.factor, expectation.toe_residual_rad
             whitened = residual @ cho_solve((factor, True), residual, check_finite=False)
             scores["range"] = float(-np.sum(np.log(np.diag(factor))) - 0.5 * whitened)
         if self._toe_alone:

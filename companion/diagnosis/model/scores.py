@@ -71,7 +71,7 @@ def column(
             mean = _whitened(expectation, (perturbed.residual - expectation.residual) / step)
     if len(expectation.toe_residual_rad):
         toe = (perturbed.toe_residual_rad - expectation.toe_residual_rad) / step
-        noise = (perturbed.toe_variance - expectation.toe_variance) / step if noisy else None
+        noise = (perturbed.toe_errors.variance - expectation.toe_errors.variance) / step if noisy else None
     rest = (perturbed.rest_residual - expectation.rest_residual) / step
     return Column(power, mean, toe, noise, rest, shift_s, warps)
 
@@ -164,7 +164,7 @@ def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floa
     index = np.array([i for i, entry in enumerate(columns) if entry.toe is not None], dtype=np.int64)
     if not len(expectation.toe_residual_rad) or not len(index):
         return
-    factor = expectation.toe_factor, True
+    factor = expectation.toe_errors.factor, True
     toe = np.stack([entry.toe for entry in columns if entry.toe is not None], 1)
     weighed = cho_solve(factor, toe, check_finite=False)
     gradient[index] -= weighed.T @ expectation.toe_residual_rad
@@ -173,11 +173,10 @@ def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floa
     if not random:
         return
     white = cho_solve(factor, expectation.toe_residual_rad, check_finite=False)
-    precision = expectation.toe_precision
-    for i, changed in random:
-        gradient[i] += 0.5 * float(changed @ (white**2 - np.diag(precision)))
-        for j, other in random:
-            information[i, j] += 0.5 * float(changed @ precision**2 @ other)
+    precision = expectation.toe_errors.precision
+    places, changed = [i for i, _ in random], np.stack([variance for _, variance in random])
+    gradient[places] += 0.5 * changed @ (white**2 - np.diag(precision))
+    information[np.ix_(places, places)] += 0.5 * changed @ precision**2 @ changed.T
 
 
 def packed(hermitian: Complexes) -> Floats:
