@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.generator.mavcrc import x25crc
 
 from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.link.dialect import NewerMessage
 from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing, load_signing
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
@@ -163,6 +165,19 @@ def test_what_we_send_is_accepted_by_pymavlink_with_the_key_and_by_nobody_else()
         assert [message.get_type() == "NAMED_VALUE_FLOAT" for message in parsed] == results
     stamps = [int.from_bytes(frame[-12:-6], "little") for frame in ours.wire.sent]
     assert stamps == sorted(set(stamps)), "each stamp is later, though the clock stands still"
+
+
+def test_a_message_that_pymavlink_does_not_know_is_signed() -> None:
+    """COMPONENT_METADATA, which ground stations ask for as they connect; its CRC extra is 182 (common.xml)."""
+    ours = Ours()
+    message = NewerMessage(397, "COMPONENT_METADATA", 182, "<II", time_boot_ms=7, file_crc=9)
+    plain = bytes(message.pack(mavlink.MAVLink(None, 3, 191)))
+    ours.transport.send(plain)
+    (frame,) = ours.wire.sent
+    assert (frame[2], frame[3:-15], len(frame)) == (1, plain[3:-2], len(plain) + 13)
+    crc = x25crc(frame[1:-15] + b"\xb6")
+    assert int.from_bytes(frame[-15:-13], "little") == crc.crc
+    assert frame[-6:] == hashlib.sha256(KEY + frame[:-6]).digest()[:6]
 
 
 def test_a_key_file_is_read_and_a_bad_one_named(tmp_path: Path) -> None:

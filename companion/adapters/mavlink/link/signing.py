@@ -26,7 +26,7 @@ from pathlib import Path
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.link.dialect import CRC_EXTRA, ID_OF
+from companion.adapters.mavlink.link.dialect import ID_OF
 from companion.adapters.mavlink.link.scan import MAGIC_2, SIGNED, sender_of, split_frames
 from companion.adapters.mavlink.link.transport import Transport
 from companion.adapters.mavlink.link.udp import UdpIn
@@ -123,12 +123,12 @@ class Signing:
         return min(self._base + (self._clock.now_ns() - self._base_host_ns) // _UNIT_NS, _LARGEST)
 
     def sign(self, frame: bytes, link: int) -> bytes:
-        """Sign one unsigned MAVLink 2 frame; its checksum is made anew, for it covers the flag."""
+        """Sign one unsigned MAVLink 2 frame of any message; its checksum covers the flag, and changes with it."""
         self._last_sent = max(self.now(), self._last_sent + 1)
         self._keep()
         head = frame[:2] + bytes((frame[2] | SIGNED,)) + frame[3:-2]
-        extra = CRC_EXTRA[int.from_bytes(frame[7:10], "little")]
-        crc = mcrf4xx(head[1:] + bytes((extra,)))
+        # CRCs are affine: what a flag changes does not depend on the CRC extra, which stands last
+        crc = int.from_bytes(frame[-2:], "little") ^ mcrf4xx(frame[1:-2] + b"\0") ^ mcrf4xx(head[1:] + b"\0")
         body = head + crc.to_bytes(2, "little") + bytes((link & 0xFF,)) + self._last_sent.to_bytes(6, "little")
         return body + self._digest(body)
 
