@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -49,6 +50,16 @@ def test_a_climb_of_long_ago_is_not_that_of_the_attitude(silent_ms: int, states:
     radio = Radio()
     radio.hear(10_000, beat(), AIR)
     assert len(radio.hear(10_000 + silent_ms, attitude(5_000))) == states
+
+
+@pytest.mark.parametrize(("climb_mps", "states"), [(-5.0, 1), (math.nan, 0)])
+def test_without_an_airspeed_the_speed_over_ground_stands_in(climb_mps: float, states: int) -> None:
+    """PX4 sends NaN where it has no pitot tube; attitude, climb and velocity are sound."""
+    radio = Radio()
+    heard = radio.hear(
+        10_000, beat(), mavlink.MAVLink_vfr_hud_message(math.nan, 21.0, 0, 60, 50.0, climb_mps), attitude(5)
+    )
+    assert [(state.airspeed_mps, state.climb_mps, state.throttle) for state in heard] == [(21.0, -5.0, 0.6)] * states
 
 
 def test_another_vehicle_is_not_on_the_ground_because_the_last_one_was() -> None:

@@ -183,7 +183,7 @@ class Translator:
 
     def _forget_vehicle(self) -> None:
         """Begin without what an autopilot told: another one, or this one after a reboot, may say nothing of it."""
-        self._air: tuple[Any, int] | None = None
+        self._air: tuple[tuple[float, float, float], int] | None = None
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
         self._on_ground, self._velocity = GroundWitness(), GroundVelocity()
@@ -274,8 +274,10 @@ class Translator:
 
     def _vfr_hud(self, heard: Heard) -> None:
         message = heard.message
-        if math.isfinite(message.airspeed) and math.isfinite(message.climb):
-            self._air = message, heard.received_host_ns
+        # PX4 without a pitot tube, or with one that it has given up, sends NaN
+        airspeed_mps = message.airspeed if math.isfinite(message.airspeed) else message.groundspeed
+        if math.isfinite(airspeed_mps) and math.isfinite(message.climb):
+            self._air = (airspeed_mps, message.climb, message.throttle / 100.0), heard.received_host_ns
         else:
             self._refusals.add(Reject.NOT_FINITE, "VFR_HUD")
 
@@ -291,15 +293,12 @@ class Translator:
             return
         if self._air is None or heard.received_host_ns - self._air[1] > _AIR_AGE_NS:
             return
-        air = self._air[0]
         self._last_state_ms = message.time_boot_ms
         yield VehicleState(
             message.time_boot_ms * 1_000_000,
             heard.received_host_ns,
             *angles,
-            air.airspeed,
-            air.climb,
-            air.throttle / 100.0,
+            *self._air[0],
             self.armed,
             self._on_ground.verdict(heard.received_host_ns),
             self._velocity.ned_mps(message.time_boot_ms, heard.received_host_ns),
