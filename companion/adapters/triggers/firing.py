@@ -23,7 +23,7 @@ class WaitingPlan:
     """Pending plan, and the rules by which it is replaced and fired; independent of any clock.
 
     A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
-    again, nor one that was planned before the last shot: it came too late to replace that shot's plan. A plan
+    again, nor one that was planned before the last command: it came too late to replace that shot's plan. A plan
     past its expiry is reported as ``PLAN_EXPIRED``, a line that fails as ``DEVICE_FAILED``.
     """
 
@@ -52,7 +52,8 @@ class WaitingPlan:
         except (DeviceError, OSError) as error:
             return Rejected(Reject.DEVICE_FAILED, str(error), now_host_ns)
         self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_host_ns - _MEMORY_NS}
-        self._fired_ns[plan.plan_id] = self._last_ns = shot.fired_host_ns
+        # not the edge's instant: a trigger board raises it later, and the next plan may be made meanwhile
+        self._fired_ns[plan.plan_id] = self._last_ns = now_host_ns
         return shot
 
 
