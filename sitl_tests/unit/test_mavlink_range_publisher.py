@@ -52,6 +52,7 @@ def test_ranges_leave_at_their_rate_at_most(shots_hz: int, rate_hz: int) -> None
 
 def test_a_change_of_trust_goes_out_at_once() -> None:
     outputs = RangePublisher(Settings(), 25)
+    outputs.note_motion(state(0, 0.0))
     kinds = []
     for k, record in enumerate([measured(0), measured(1), none(2), none(3), measured(4), measured(5, trusted=False)]):
         kinds += [message.signal_quality == 1 for message in outputs.messages(record, 0, k * MS)]
@@ -92,7 +93,8 @@ def test_stamps_of_points_advance_and_follow_a_restart() -> None:
     outputs = RangePublisher(Settings(obstacles=2), 0)
     stamps = []
     for k, t_ms in enumerate([5000, 5000, 4990, 5200, 30, 130]):
-        (message,) = outputs.messages(obstacle_sectors(t_ms * MS, {}), 0, k * 1000 * MS)
+        now_ns = k * 1000 * MS
+        (message,) = outputs.messages(obstacle_sectors(now_ns, {}), t_ms * MS - now_ns, now_ns)
         assert math.hypot(message.x, message.y) > message.max_distance, "a look without obstacles still ends the last"
         stamps.append(message.time_boot_ms)
     assert stamps == [5000, 5001, 5002, 5200, 30, 130]
@@ -135,15 +137,40 @@ def test_the_climb_since_the_exposure_counts_not_that_before() -> None:
     assert sent(message).current_distance == 4250
 
 
-@pytest.mark.parametrize(("orientation", "climb_at_ms", "now_ms"), [(6, 1200, 1500), (25, 900, 1500), (25, 1200, 4000)])
-def test_a_range_stays_where_nothing_tells_how_it_changed(orientation: int, climb_at_ms: int, now_ms: int) -> None:
-    """A pair that looks aside, no climb rate since the exposure, an exposure too long ago."""
-    outputs = RangePublisher(Settings(), orientation)
-    outputs.note_motion(state(climb_at_ms * MS, -2.0))
-    record = dataclasses.replace(measured(1000 * MS), orientation=orientation)
-    (message,) = outputs.messages(record, 0, now_ms * MS)
+def test_a_range_of_a_pair_that_looks_aside_stays_as_it_was() -> None:
+    outputs = RangePublisher(Settings(), 6)
+    outputs.note_motion(state(1200 * MS, -2.0))
+    (message,) = outputs.messages(dataclasses.replace(measured(1000 * MS), orientation=6), 0, 1500 * MS)
     assert sent(message).current_distance == 4200
     assert sent(message).time_boot_ms == 1000
+
+
+def test_a_speed_that_was_told_before_the_exposure_moves_the_range_and_widens_its_sigma() -> None:
+    """42 m, 0.5 s of sinking at 2 m/s; the speed may be 3 m/s off by now."""
+    outputs = RangePublisher(Settings(), 25)
+    outputs.note_motion(state(900 * MS, -2.0))
+    record = dataclasses.replace(measured(1000 * MS), sigma_m=0.01)
+    (message,) = outputs.messages(record, 0, 1500 * MS)
+    assert sent(message).current_distance == 4100
+    assert sent(message).covariance == 255, "150^2 cm^2: more than the field holds"
+
+
+@pytest.mark.parametrize("orientation", [0, 25])
+@pytest.mark.parametrize(("told_at_ms", "exposed_ms"), [(None, 3800), (1900, 3800), (3900, 1900)])
+def test_no_range_goes_out_where_nothing_tells_how_it_changed(
+    orientation: int, told_at_ms: int | None, exposed_ms: int
+) -> None:
+    """The autopilot never told its speed, or more than 2 s ago; or the exposure is older than that."""
+    outputs = RangePublisher(Settings(), orientation)
+    if told_at_ms is not None:
+        outputs.note_motion(state(told_at_ms * MS, -2.0))
+    record = dataclasses.replace(measured(exposed_ms * MS), orientation=orientation)
+    (message,) = outputs.messages(record, 0, 4000 * MS)
+    assert sent(message).signal_quality == encode.NO_RANGE_QUALITY
+    assert sent(message).time_boot_ms == 4000
+    if orientation == 0:
+        (circle,) = outputs.messages(obstacle_sectors(exposed_ms * MS, {0: 42.0}), 0, 4000 * MS)
+        assert set(sent(circle).distances) == {65535}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 A range is that of an exposure, which the smoother's lag and the matching put half a second and more into the past, and
 the autopilots take DISTANCE_SENSOR and obstacles for the present, whatever their stamps say. They are moved on to the
 instant of sending by what the autopilot has told since: a downward range by the climb rate (a descent at 2 m/s
-would else read 1 m long), what lies ahead by the speed towards it (at 20 m/s it would read 12 m too far).
+would else read 1 m long), what lies ahead by the speed towards it (at 20 m/s it would read 12 m too far). Where the
+autopilot has not told for long how it moves, the range of then is not the range of now, and none goes out.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ _CIRCLE, _POINTS = 1, 2  # values of the tunable OUT_OBSTACLES' setting ``obstac
 _RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins anew (choice)
 _SPEED_SIGMA_MPS = 0.3  # of a told climb rate or velocity, and of level ground under an aircraft in flight (choice)
 _WIND_SIGMA_MPS = 3.0  # of the airspeed as speed over ground (choice, as for the flow: core/stereo/README.md)
-_OLDEST_NS = 2_000_000_000  # a range older than this is not moved on (choice)
+_EARLIER_SIGMA_MPS = 3.0  # of a speed that was told before the exposure alone: a push-over of 3 m/s^2 (choice)
+_OLDEST_NS = 2_000_000_000  # neither an older range is moved on, nor any by an older speed (choice)
 _SECTORS_LAST_NS = 400_000_000  # chosen: as a range does (core/output_scheduler.py)
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
 
@@ -69,13 +71,14 @@ class RangePublisher:
         limits_m = (self._settings.min_range_m, self._settings.max_range_m)
         if isinstance(record, ObstacleSectors):
             self._sectors_until_ns = now_host_ns + _SECTORS_LAST_NS
-            return self._obstacles(self._sectors_moved_on(record, now_host_ns), boot_offset_ns, now_host_ns)
-        if isinstance(record, CorrectedRange):
-            record = self._moved_on(record, now_host_ns)
-            at_ns = record.t_host_ns
-            message = encode.distance_sensor(record, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
+            sectors = self._sectors_moved_on(record, now_host_ns) or encode.unknown_sectors(now_host_ns, *limits_m)
+            return self._obstacles(sectors, boot_offset_ns, now_host_ns)
+        moved = self._moved_on(record, now_host_ns) if isinstance(record, CorrectedRange) else None
+        if moved is not None:
+            at_ns = moved.t_host_ns
+            message = encode.distance_sensor(moved, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
         else:
-            at_ns = record.at_host_ns
+            at_ns = record.at_host_ns if isinstance(record, NoRange) else now_host_ns
             message = encode.no_range(record.orientation, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
         trusted = message.signal_quality != encode.NO_RANGE_QUALITY
         changed, self._trusted = trusted != self._trusted, trusted
@@ -85,11 +88,13 @@ class RangePublisher:
             messages += self._obstacles(nothing, boot_offset_ns, now_host_ns)
         return messages
 
-    def _moved_on(self, record: CorrectedRange, now_host_ns: int) -> CorrectedRange:
-        """The range at the instant of sending; as it is where nothing was told since its exposure."""
+    def _moved_on(self, record: CorrectedRange, now_host_ns: int) -> CorrectedRange | None:
+        """The range at the instant of sending; None where it is not told how the aircraft has moved meanwhile."""
+        if not (self._forward or self._looks_down) or record.t_host_ns >= now_host_ns:
+            return record
         moved = self._approached(record.t_host_ns, now_host_ns)
         if moved is None:
-            return record
+            return None
         nearer_m, sigma_m = moved
         range_m = record.range_m - nearer_m
         if self._forward and record.range_m >= self._settings.min_range_m:
@@ -97,11 +102,13 @@ class RangePublisher:
         sigma_m = math.hypot(record.sigma_m, sigma_m)
         return dataclasses.replace(record, t_host_ns=now_host_ns, range_m=range_m, sigma_m=sigma_m)
 
-    def _sectors_moved_on(self, record: ObstacleSectors, now_host_ns: int) -> ObstacleSectors:
-        """The obstacles at the instant of sending: each by its part of the way that was flown ahead."""
-        moved = self._approached(record.t_host_ns, now_host_ns) if self._forward else None
-        if moved is None:
+    def _sectors_moved_on(self, record: ObstacleSectors, now_host_ns: int) -> ObstacleSectors | None:
+        """The obstacles at the instant of sending, each by its part of the way that was flown ahead; None: not told."""
+        if not self._forward or record.t_host_ns >= now_host_ns:
             return record
+        moved = self._approached(record.t_host_ns, now_host_ns)
+        if moved is None:
+            return None
         ahead = np.cos(2.0 * np.pi * np.arange(len(record.distance_m)) / len(record.distance_m))
         distance_m = np.maximum(record.distance_m - moved[0] * ahead, np.minimum(record.distance_m, record.min_m))
         sigma_m = np.hypot(record.sigma_m, moved[1] * ahead)
@@ -110,11 +117,16 @@ class RangePublisher:
     def _approached(self, t_host_ns: int, now_host_ns: int) -> tuple[float, float] | None:
         """How much nearer something that stands still has come since an exposure, and its sigma, m; None: not told."""
         age_ns = now_host_ns - t_host_ns
-        since = [state for state in self._states if t_host_ns <= state.received_host_ns <= now_host_ns]
-        if not ((self._looks_down or self._forward) and since and 0 < age_ns <= _OLDEST_NS):
+        recent = [s for s in self._states if now_host_ns - _OLDEST_NS <= s.received_host_ns <= now_host_ns]
+        if age_ns > _OLDEST_NS or not recent:
             return None
-        speeds = [(-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state) for state in since]
+        since = [state for state in recent if state.received_host_ns >= t_host_ns]
+        speeds = [
+            (-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state)
+            for state in since or recent[-1:]
+        ]
         speed_mps, sigma_mps = np.mean(speeds, axis=0).tolist()
+        sigma_mps = sigma_mps if since else math.hypot(sigma_mps, _EARLIER_SIGMA_MPS)
         return 1e-9 * age_ns * speed_mps, 1e-9 * age_ns * sigma_mps
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
