@@ -12,10 +12,10 @@ import numpy as np
 
 from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
-from companion.core.stereo.geometry import Rig
+from companion.core.stereo.geometry import Rig, orientation_axis
 from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
 from companion.core.stereo.lens_residual import LensAxes, straightened
-from companion.core.stereo.ranging import divergence, orientation_axis
+from companion.core.stereo.ranging import divergence
 from companion.core.stereo.triangulation import Rays, match_rays, range_axis_of_rig, triangulate
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from companion.core.stereo.exposure import rest_exposures
-from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import orientation_axis
+from companion.core.stereo.geometry import Rig, orientation_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation, relative_rotation, skew
 from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.core.wing.beam import BeamMode, characteristic

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.core.stereo.exposure import rest_exposures
-from companion.core.stereo.geometry import Rig
+from companion.core.stereo.geometry import Rig, orientation_axis
 from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.matching import match_pair
-from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.paper.bench import Setup, at_rest, laboratory_flight, target_scene

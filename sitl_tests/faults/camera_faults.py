@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.core.stereo.geometry import Rig
+from companion.core.stereo.geometry import Rig, orientation_axis
 from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
-from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Depths, range_axis_of_rig
 from companion.params.airframe import Airframe

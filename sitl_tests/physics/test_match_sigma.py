@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from companion.core.stereo.exposure import TipMotion, exposures
+from companion.core.stereo.geometry import orientation_axis
 from companion.core.stereo.inverse_depth import consistent
-from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.core.stereo.vision import VisionState
 from companion.evaluation.true_geometry import TrueGeometry

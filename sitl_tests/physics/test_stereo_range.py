@@ -8,6 +8,7 @@ import pytest
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import PairConditions, correct
 from companion.params.settings import Settings
+from companion.records import RelativeRotation
 from sitl_tests.unit.stereo_cases import (
     bend,
     forward,
@@ -123,6 +124,25 @@ def test_calibration_sigma_is_root_two_times_one_camera_for_toe() -> None:
     answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     assert answer.range.toe_sigma_rad == pytest.approx(np.sqrt(2.0) * 1e-3, rel=1e-6)
     assert answer.causes_m.calibration == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 1e-3, rel=0.02)
+
+
+@pytest.mark.parametrize("bank_deg", [0.0, 30.0, -45.0])
+def test_a_turn_of_both_cameras_moves_the_axis_over_tilted_ground(bank_deg: float) -> None:
+    """A turn by theta in the bank changes the range by ``Z tan(bank) theta``.
+
+    Two independent mountings turn the pair by 1/root 2 of the sigma of either.
+    """
+    airframe = nadir(**perfect_calibration(rotation_sigma_rad=1e-2))
+    rig, bank = Rig.from_airframe(airframe), np.radians(bank_deg)
+    down = np.array([0.0, np.sin(bank), np.cos(bank)])
+    rays = ground_below(1.0, 1000, 8, spread=0.3)
+    matches = match_set(*raw_pixels(rig, 50.0 * rays / (rays @ down)[:, np.newaxis], (0.0, 0.0)))
+    measured = RelativeRotation(0, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), 100, 1.0)
+    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0, turned=measured))
+    range_m = 50.0 / np.cos(bank)
+    assert answer.range.range_m == pytest.approx(range_m, rel=1e-4)
+    expected_m = abs(range_m * np.tan(bank)) * 1e-2 / np.sqrt(2.0)
+    assert answer.causes_m.calibration == pytest.approx(expected_m, rel=0.05, abs=0.01)
 
 
 def test_timing_sigma_counts_with_the_rate_of_the_bend() -> None:

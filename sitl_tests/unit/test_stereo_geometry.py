@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Lens, Rig, axes_from_body
 from companion.core.stereo.rotation import exp_rotation
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.records import Side
 
 EUROC = np.array([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0])
@@ -131,6 +133,13 @@ def test_cameras_that_look_along_the_baseline_are_refused(nadir: Airframe) -> No
     )
     with pytest.raises(ConfigError, match="along their baseline"):
         Rig.from_airframe(both)
+
+
+@pytest.mark.parametrize(("orientation", "said"), [(0, "it is 25"), (2, "it is 25"), (24, "it is 25"), (1, "possible")])
+def test_an_orientation_where_no_camera_looks_is_refused(orientation: int, said: str, nadir: Airframe) -> None:
+    Correction.create(nadir, Settings())
+    with pytest.raises(ConfigError, match=said):
+        Correction.create(dataclasses.replace(nadir, orientation=orientation), Settings())
 
 
 def test_a_pair_needs_two_cameras(nadir: Airframe) -> None:

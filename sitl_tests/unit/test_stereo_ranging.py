@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.geometry import Pose, Rig, orientation_axis
 from companion.core.stereo.inverse_depth import RangeProduct
 from companion.core.stereo.matching import match
-from companion.core.stereo.ranging import PairConditions, RangeAnswer, correct, orientation_axis
+from companion.core.stereo.ranging import PairConditions, RangeAnswer, correct
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import range_axis_of_rig

@@ -14,7 +14,7 @@ from companion.core.stereo.epipolar_states import YAW
 from companion.core.stereo.exposure import CameraExposure, TipMotion, bent_pose, exposures, slope_change_sigma_rad
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.flow import LEAST_FLOW, LONGEST_NS, FlightBetween, FlowView
-from companion.core.stereo.geometry import Rig
+from companion.core.stereo.geometry import Rig, check_orientation
 from companion.core.stereo.lens_residual import LensAxes
 from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
 from companion.core.stereo.rotation import exp_rotation
@@ -101,6 +101,7 @@ class Correction:
         """For an airframe that has both cameras."""
         down = airframe.looks_down
         rig = Rig.from_airframe(airframe)
+        check_orientation(rig, airframe)
         return cls(
             airframe, rig, RangeGate(float(down), lasting_surface=down), settings, ExtrinsicsDriftFilter(rig, airframe)
         )

@@ -21,6 +21,8 @@ _AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3 (convention)
 # measured: of 183 matches of level cameras 114 are left at 10 degrees, none at 20
 _MOST_ROLL_RAD = np.radians(12.0)
+_LEAST_ALONG = 0.5  # cosine of the look with the range axis: beyond 60 degrees hardly a lens sees the axis (choice)
+_ORIENTATIONS = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}  # MAV_SENSOR_ORIENTATION (common.xml)
 _MOST_SCALE_RATIO = 1.15  # measured: of 183 matches of equal pixels 30 are left at 1.25, none at 1.5
 # A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
 # numerical: steps at most, and a residual by which rounding rules
@@ -193,6 +195,27 @@ class Rig:
     def baseline_m(self) -> float:
         """Distance of the two centres of projection at rest, m."""
         return float(np.linalg.norm(self.right.rest.position_body_m - self.left.rest.position_body_m))
+
+
+def orientation_axis(orientation: int) -> Floats:
+    """Body axis (3,) of a MAV_SENSOR_ORIENTATION; :class:`ConfigError` for one that is not along an axis."""
+    if orientation not in _ORIENTATIONS:
+        allowed = ", ".join(str(key) for key in sorted(_ORIENTATIONS))
+        raise ConfigError(f"orientation {orientation} is not along a body axis; possible: {allowed}")
+    name = _ORIENTATIONS[orientation]
+    return (-1.0 if name.startswith("-") else 1.0) * np.array(_AXIS[name[-1]])
+
+
+def check_orientation(rig: Rig, airframe: Airframe) -> None:
+    """Raise :class:`ConfigError` for a range axis that neither camera sees: every pair would have too few matches."""
+    look = rig.left.rest.camera_from_body[2] + rig.right.rest.camera_from_body[2]
+    orientation_axis(airframe.orientation)
+    along = {number: float(orientation_axis(number) @ look) for number in _ORIENTATIONS}
+    if along[airframe.orientation] < _LEAST_ALONG * float(np.linalg.norm(look)):
+        raise ConfigError(
+            f"airframe '{airframe.name}': orientation {airframe.orientation} is not where the cameras look; "
+            f"by their axes it is {max(along, key=lambda number: along[number])}"
+        )
 
 
 def axes_from_body(axes: tuple[str, str, str], where: str) -> Floats:

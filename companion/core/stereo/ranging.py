@@ -9,7 +9,7 @@ import numpy as np
 from companion.core.stereo.consistency_gate import range_reject
 from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
-from companion.core.stereo.geometry import Rig, axes_from_body, epipolar_axes
+from companion.core.stereo.geometry import Rig, epipolar_axes, orientation_axis
 from companion.core.stereo.inverse_depth import (
     InverseDepthEstimate,
     RangeProduct,
@@ -21,7 +21,6 @@ from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_rays, range_axis_of_rig, triangulate
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
-from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject, RelativeRotation
@@ -32,7 +31,6 @@ TIMING_SIGMA_S = 1e-4
 """One-sigma of an exposure's stamp, where none is stated (choice)."""
 OPTICAL_AXIS: Floats = np.array([0.0, 0.0, 1.0])
 """Viewing direction in camera axes."""
-_AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
 # 1 / (10 km): below this the depth counts as infinite (choice)
 _INFINITY_PM = 1e-4
 
@@ -217,11 +215,14 @@ class _Scene:
         )
 
     def causes(self, estimate: InverseDepthEstimate) -> Budget:
-        """Sigma by cause of an estimate's inverse depth, 1/m."""
+        """Sigma by cause of an estimate's inverse depth, 1/m. A turn also moves the axis over a tilted surface."""
+
+        def on_axis_pm(rays: Rays) -> Floats:
+            depths = triangulate(rays, self.range_axis, np.ones(len(rays.left)))
+            return depths.inverse_pm - depths.tangent @ estimate.slope_pm
+
         epipolar_from_body = epipolar_frame(self.rig)
-        return self.budget(
-            gradient_of(self.inverse_depths, estimate.weights, self.rays, self.moving, epipolar_from_body)
-        )
+        return self.budget(gradient_of(on_axis_pm, estimate.weights, self.rays, self.moving, epipolar_from_body))
 
     def toe(self) -> _Toe:
         """Divergence of the optical axes beyond that of the ground calibration, and its sigma, rad."""
@@ -266,16 +267,6 @@ def _answer(
         trusted=reject is None,
         reject=reject,
     )
-
-
-def orientation_axis(orientation: int) -> Floats:
-    """Body axis (3,) of a MAV_SENSOR_ORIENTATION; :class:`ConfigError` for one that is not along an axis."""
-    if orientation not in _AXES:
-        allowed = ", ".join(str(key) for key in sorted(_AXES))
-        raise ConfigError(f"orientation {orientation} is not along a body axis; possible: {allowed}")
-    name = _AXES[orientation]
-    direction: Floats = axes_from_body(("x", "y", "z"), "orientation")["xyz".index(name[-1])]
-    return -direction if name.startswith("-") else direction
 
 
 def toe_between(rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> float:
