@@ -10,6 +10,7 @@ from companion.doctor.evidence import Evidence, Finding, Fix
 
 # convention: MAVLink's drivers in RNGFND1_TYPE and PRX1_TYPE (ArduPilot)
 _MAVLINK_RANGEFINDER, _MAVLINK_PROXIMITY = 10, 2
+_NUMBERS = range(1, 5)  # of ArduPilot's range finders that are asked for (choice: boards have few ports)
 _PROXIMITY_USERS = frozenset(
     (
         mavlink.MAV_TYPE_QUADROTOR,
@@ -43,23 +44,39 @@ def check_ranging(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _rangefinder(evidence: Evidence) -> Iterator[Finding]:
-    kind = evidence.parameter("RNGFND1_TYPE")
-    if kind is None:
+    if evidence.parameter("RNGFND1_TYPE") is None:
         yield evidence.missing("range", "RNGFND1_TYPE")
         return
-    if kind[1] != _MAVLINK_RANGEFINDER:
-        text = f"RNGFND1_TYPE is {kind[1]:g}, not {_MAVLINK_RANGEFINDER} (MAVLink): our ranges are not used"
-        yield Finding.fix("range", text, Fix("RNGFND1_TYPE", _MAVLINK_RANGEFINDER, reboot=True))
+    name = f"RNGFND{_our_rangefinder(evidence)}"
+    kind = evidence.parameter(f"{name}_TYPE")
+    if kind is not None and kind[1] == _MAVLINK_RANGEFINDER:
+        yield Finding.ok("range", f"{name}_TYPE is {_MAVLINK_RANGEFINDER} (MAVLink)")
     else:
-        yield Finding.ok("range", "RNGFND1_TYPE is 10 (MAVLink)")
+        value = "not told" if kind is None else f"{kind[1]:g}"
+        text = f"{name}_TYPE is {value}, not {_MAVLINK_RANGEFINDER} (MAVLink): our ranges are not used"
+        yield Finding.fix("range", text, Fix(f"{name}_TYPE", _MAVLINK_RANGEFINDER, reboot=True))
     wanted = evidence.airframe.orientation
-    value = evidence.parameter("RNGFND1_ORIENT")
-    if value is not None and value[1] == wanted:
-        yield Finding.ok("range", f"RNGFND1_ORIENT is {value[1]:g}")
-    elif value is not None:
-        text = f"RNGFND1_ORIENT is {value[1]:g}, but the cameras look to {wanted}"
-        yield Finding.fix("range", text, Fix("RNGFND1_ORIENT", wanted))
-    yield from _limits(evidence)
+    place = evidence.parameter(f"{name}_ORIENT")
+    if place is not None and place[1] == wanted:
+        yield Finding.ok("range", f"{name}_ORIENT is {place[1]:g}")
+    elif place is not None:
+        text = f"{name}_ORIENT is {place[1]:g}, but the cameras look to {wanted}"
+        yield Finding.fix("range", text, Fix(f"{name}_ORIENT", wanted))
+    yield from _limits(evidence, name)
+
+
+def _our_rangefinder(evidence: Evidence) -> int:
+    """Number of the instance that takes our ranges, or else of one that could without another sensor's loss."""
+    kinds = {number: evidence.parameter(f"RNGFND{number}_TYPE") for number in _NUMBERS}
+    of_mavlink = [number for number, kind in kinds.items() if kind is not None and kind[1] == _MAVLINK_RANGEFINDER]
+    ours = [number for number in of_mavlink if _looks_where_we_do(evidence, number)]
+    free = [number for number, kind in kinds.items() if kind is not None and kind[1] == 0.0]
+    return next(iter([*ours, *of_mavlink, *free, 1]))
+
+
+def _looks_where_we_do(evidence: Evidence, number: int) -> bool:
+    place = evidence.parameter(f"RNGFND{number}_ORIENT")
+    return place is not None and place[1] == evidence.airframe.orientation
 
 
 def _switched_off(evidence: Evidence, name: str, text: str) -> Iterator[Finding]:
@@ -69,11 +86,11 @@ def _switched_off(evidence: Evidence, name: str, text: str) -> Iterator[Finding]
         yield Finding.note("range", text, Fix(name, 1))
 
 
-def _limits(evidence: Evidence) -> Iterator[Finding]:
+def _limits(evidence: Evidence, name: str) -> Iterator[Finding]:
     wanted_m = (evidence.settings.min_range_m, evidence.settings.max_range_m)
     for names, ours_m, upper in (
-        (("RNGFND1_MIN", "RNGFND1_MIN_CM"), wanted_m[0], False),
-        (("RNGFND1_MAX", "RNGFND1_MAX_CM"), wanted_m[1], True),
+        ((f"{name}_MIN", f"{name}_MIN_CM"), wanted_m[0], False),
+        ((f"{name}_MAX", f"{name}_MAX_CM"), wanted_m[1], True),
     ):
         value = evidence.parameter(*names)
         if value is None:
@@ -115,9 +132,10 @@ def _other_senders(evidence: Evidence) -> Iterator[Finding]:
             continue
         text = f"{system}/{component} also sends DISTANCE_SENSOR of orientation {ours} ({count} heard): turn one off"
         yield Finding.fix("range", text)
-    for number in range(2, 5):
-        kind, place = evidence.parameter(f"RNGFND{number}_TYPE"), evidence.parameter(f"RNGFND{number}_ORIENT")
-        if kind is not None and place is not None and kind[1] and place[1] == ours:
+    for number in _NUMBERS:
+        kind = evidence.parameter(f"RNGFND{number}_TYPE")
+        rival = kind is not None and kind[1] not in (0.0, _MAVLINK_RANGEFINDER)
+        if rival and _looks_where_we_do(evidence, number):
             text = f"RNGFND{number} looks to {ours} too: the autopilot may use it in place of ours"
             yield Finding.fix("range", text, Fix(f"RNGFND{number}_TYPE", 0, reboot=True))
 

@@ -49,10 +49,15 @@ def _notch(name: str) -> tuple[VehicleParameter, ...]:
     )
 
 
-def _rival(number: int) -> tuple[VehicleParameter, ...]:
+def _rangefinder(number: int) -> tuple[VehicleParameter, ...]:
+    name = f"RNGFND{number}"
     return (
-        VehicleParameter(f"RNGFND{number}_TYPE", "", 0, _TYPES, "whether another range finder may replace ours"),
-        VehicleParameter(f"RNGFND{number}_ORIENT", "", 0, _ORIENTATIONS, "where that range finder looks"),
+        VehicleParameter(f"{name}_TYPE", "", 0, _TYPES, "whether our ranges are used, or another range finder's"),
+        VehicleParameter(f"{name}_ORIENT", "", 0, _ORIENTATIONS, "direction for which it is used"),
+        VehicleParameter(f"{name}_MIN", "m", 0, _LONGEST_RANGE_M, "shortest range used"),
+        VehicleParameter(f"{name}_MAX", "m", 0, _LONGEST_RANGE_M, "longest range used"),
+        VehicleParameter(f"{name}_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "shortest used, before ArduPilot 4.7"),
+        VehicleParameter(f"{name}_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "longest used, before ArduPilot 4.7"),
     )
 
 
@@ -65,17 +70,12 @@ _ROWS = (
     VehicleParameter("IMU_ACCEL_CUTOFF", "Hz", 0, 1000, "tells the doctor that the autopilot is PX4"),
     VehicleParameter("IMU_GYRO_CUTOFF", "Hz", 0, 1000, "tells the doctor that the autopilot is PX4"),
     VehicleParameter("SCHED_LOOP_RATE", "Hz", 50, 2000, "how fast inertial messages can come"),
-    VehicleParameter("RNGFND1_TYPE", "", 0, _TYPES, "whether our ranges are used"),
-    VehicleParameter("RNGFND1_ORIENT", "", 0, _ORIENTATIONS, "direction for which our ranges are used"),
-    VehicleParameter("RNGFND1_MIN", "m", 0, _LONGEST_RANGE_M, "shortest range used"),
-    VehicleParameter("RNGFND1_MAX", "m", 0, _LONGEST_RANGE_M, "longest range used"),
-    VehicleParameter("RNGFND1_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "shortest used, before ArduPilot 4.7"),
-    VehicleParameter("RNGFND1_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "longest used, before ArduPilot 4.7"),
+    *_rangefinder(1),
+    *_rangefinder(2),
+    *_rangefinder(3),
+    *_rangefinder(4),
     VehicleParameter("RNGFND_LANDING", "", 0, _TYPES, "whether ArduPlane lands by our ranges"),
     VehicleParameter("EKF2_RNG_CTRL", "", 0, 2, "whether PX4's height takes our ranges"),
-    *_rival(2),
-    *_rival(3),
-    *_rival(4),
     VehicleParameter("PRX1_TYPE", "", 0, _TYPES, "whether our obstacle sectors are used"),
     VehicleParameter("PRX_TYPE", "", 0, _TYPES, "whether our obstacle sectors are used, in old versions"),
     VehicleParameter("CAM1_DURATION", "s", 0, 5, "how fast the autopilot's left camera can be fired"),

@@ -256,6 +256,23 @@ def test_limits_of_older_versions_are_in_centimetres(name: str, value: float, fi
     assert "FIX" not in texts(evidence, doctor.check_ranging)
 
 
+LIDAR_AHEAD = {"RNGFND1_TYPE": 20.0, "RNGFND1_ORIENT": 0.0, "RNGFND1_MAX": 20.0}
+
+
+@pytest.mark.parametrize(
+    ("second", "fix"),
+    [
+        ({"RNGFND2_TYPE": 10.0, "RNGFND2_ORIENT": 25.0, "RNGFND2_MAX": 250.0}, ""),
+        ({"RNGFND2_TYPE": 10.0, "RNGFND2_ORIENT": 25.0, "RNGFND2_MAX": 20.0}, "set RNGFND2_MAX 200"),
+        ({"RNGFND2_TYPE": 10.0, "RNGFND2_ORIENT": 0.0, "RNGFND2_MAX": 250.0}, "set RNGFND2_ORIENT 25"),
+        ({"RNGFND2_TYPE": 20.0, "RNGFND3_TYPE": 0.0}, "set RNGFND3_TYPE 10, reboot"),
+    ],
+)
+def test_a_lidar_that_looks_elsewhere_keeps_its_place(second: dict[str, float], fix: str) -> None:
+    evidence = evidence_of(parameters=LIDAR_AHEAD | second)
+    assert fixes(doctor.check_ranging(evidence)) == ({fix} if fix else set())
+
+
 @pytest.mark.parametrize(
     ("axes", "expected_mrad"), [(Axis.Z, 0.47), (Axis.Z | Axis.Y, 0.26), (Axis.Z | Axis.P, 0.33), (Axis.ALL, 0.24)]
 )
