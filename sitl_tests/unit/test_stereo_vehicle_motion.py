@@ -80,6 +80,13 @@ def test_between_two_states_all_is_interpolated_and_old_attitudes_are_left_out()
     assert track.motion(AT_NS + 5000 * MS).velocity_mps == pytest.approx([24.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize(("later_s", "on_ground"), [(4.0, True), (6.0, None)])
+def test_a_vehicle_that_is_silent_may_have_taken_off(later_s: float, on_ground: bool | None) -> None:
+    track = VehicleTrack()
+    track.add(dataclasses.replace(_state(1_000_000_000, 0.0, 0.0, 0.0), on_ground=True))
+    assert track.on_ground(1_000_000_000 + round(1e9 * later_s)) is on_ground
+
+
 def test_a_climb_rate_beyond_the_airspeed_is_still_a_velocity() -> None:
     track = VehicleTrack()
     track.add(_state(AT_NS, 0.0, 0.0, 5.0, 0.0))

@@ -18,6 +18,8 @@ from companion.params.airframe import Sensor
 from companion.records import Bools, Floats, Ints, VehicleState
 
 _STATES = 64  # some seconds of attitudes at the usual rates (choice)
+# a vehicle that is silent for longer may have taken off (choice, as for the landed state itself: the MAVLink decoder)
+_GROUND_NS = 5_000_000_000
 _ATTITUDE_NS = 500_000_000  # an attitude further away in time is not that of the exposure (choice)
 # sigma of wind, sideslip and climb that no message states: along and across the path, and vertical (choice: a light
 # breeze; a pitch that is wrong by 1.5 degrees at 20 m/s)
@@ -82,9 +84,11 @@ class VehicleTrack:
         return self._at(t_host_ns, _roll), self._at(t_host_ns, _pitch)
 
     def on_ground(self, t_host_ns: int) -> bool | None:
-        """Whether the last state before an instant, or else the first, is on the ground; None if unknown."""
-        until = [state.on_ground for state in self._states if state.received_host_ns <= t_host_ns]
-        return until[-1] if until else next((state.on_ground for state in self._states), None)
+        """Whether the last state before an instant, or else the first, is on the ground; None if unknown or too old."""
+        around = self._around(t_host_ns)
+        if not around or t_host_ns - around[0].received_host_ns > _GROUND_NS:
+            return None
+        return around[0].on_ground
 
     def motion(self, t_host_ns: int) -> VehicleMotion:
         """Velocity at an instant: over ground, else by airspeed, climb and attitude; along x without a state nearby."""
