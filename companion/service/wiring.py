@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import socket
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
@@ -181,12 +182,25 @@ def _stored(config: ServiceConfig) -> dict[str, float]:
     return {} if config.parameters is None else Settings().agreeing(load_stored(config.parameters).values)[0]
 
 
+@contextlib.contextmanager
+def _ending_with_a_sentence(process: str) -> Iterator[None]:
+    """End the process with what a device or a link says of itself, in place of a traceback."""
+    try:
+        yield
+    except SpanwiseError as error:
+        raise SystemExit(f"spanwise {process}: {error}") from error
+
+
+def _changed(at_start: Mapping[str, float], now: Mapping[str, float], *, live: bool) -> dict[str, float]:
+    """Values set since the service's own start that act at once, or that act from its next start on."""
+    rows = [row.name for row in tunables() if row.live is live and row.name in now]
+    return {name: now[name] for name in rows if at_start.get(name) != now[name]}
+
+
 def resumed(settings: Settings, at_start: Mapping[str, float], now: Mapping[str, float]) -> Settings:
     """The settings of a process that starts anew: live changes since the service's own start are in force again."""
-    live = {row.name for row in tunables() if row.live}
-    for name in sorted(live & now.keys()):
-        if at_start.get(name) != now[name]:
-            settings = settings.replace(name, now[name])
+    for name, value in _changed(at_start, now, live=True).items():
+        settings = settings.replace(name, value)
     return settings
 
 
@@ -208,10 +222,16 @@ def _inertial_process(
         return
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
-    links = [open_link(link, clock, n, signing, may_be_down=True) for n, link in enumerate(config.connections)]
+    with _ending_with_a_sentence("inertial"):
+        links = [open_link(link, clock, n, signing, may_be_down=True) for n, link in enumerate(config.connections)]
     firing = link_firing(config.trigger)
     autopilot = MavlinkAutopilot(
-        links, config.airframe, config.settings, clock, component=_component(config, signing), firing=firing or CAMERAS
+        links,
+        config.airframe,
+        config.settings,
+        clock,
+        component=_component(config, signing, stored_at_start),
+        firing=firing or CAMERAS,
     )
     loop = inertial.InertialLoop(
         state=start(config.airframe, config.settings),
@@ -233,12 +253,14 @@ def _unheard(record: Record) -> None:
     del record
 
 
-def _component(config: ServiceConfig, signing: Signing | None) -> OnboardComponent:
+def _component(
+    config: ServiceConfig, signing: Signing | None, stored_at_start: Mapping[str, float]
+) -> OnboardComponent:
     """Our own MAVLink component, which keeps its parameters where that is asked for."""
-    reserved = _sensor_components(config)
-    parameters = ParameterServer(config.settings, reserved=reserved)
-    if config.parameters is not None:
-        parameters = ParameterServer(config.settings, Keeper(config.parameters), _stored(config), reserved)
+    reserved, stored = _sensor_components(config), _stored(config)
+    keeper = None if config.parameters is None else Keeper(config.parameters)
+    pending = _changed(stored_at_start, stored, live=False)
+    parameters = ParameterServer(config.settings, keeper, stored, reserved, pending)
     return OnboardComponent(parameters, signing=signing)
 
 
@@ -256,7 +278,8 @@ def _check_settings(config: ServiceConfig) -> None:
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: StopFlag) -> None:
     assert config.trigger is not None
-    serve_trigger(config.trigger, line, stop.is_set)
+    with _ending_with_a_sentence("trigger"):
+        serve_trigger(config.trigger, line, stop.is_set)
 
 
 def _warning(sentence: str) -> Notice:
@@ -310,18 +333,15 @@ def _vision_process(
 ) -> None:
     assert config.cameras is not None
     recorder = _recorder(recorder_end, feed_end)
-    try:
+    with _ending_with_a_sentence("vision"):
         cameras = config.cameras()
-    except SpanwiseError as error:
-        raise SystemExit(f"spanwise vision: {error}") from error
     settings = resumed(config.settings, stored_at_start, _stored(config))
     clock = MonotonicClock()
     # milliseconds of the host's clock: no number comes twice, although this process may be the second of a flight
     first_pair = clock.now_ns() // 1_000_000
     state = VisionState.create(config.airframe, settings, free_running=config.trigger is None, first_pair=first_pair)
     try:
-        vision.run(state, cameras, clock, matches.send, recorder, stop, updates.receive)
-    except SpanwiseError as error:
-        raise SystemExit(f"spanwise vision: {error}") from error
+        with _ending_with_a_sentence("vision"):
+            vision.run(state, cameras, clock, matches.send, recorder, stop, updates.receive)
     finally:
         recorder.close()

@@ -18,9 +18,11 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.triggers.process import TriggerLink, line_pair
 from companion.adapters.triggers.wire import Realtime, pack_report
-from companion.errors import LinkDown, LinkError
+from companion.errors import DeviceError, LinkDown, LinkError
+from companion.lifetime import StopFlag
 from companion.params.files import load_airframe
 from companion.params.persist import load_stored
 from companion.params.settings import Settings
@@ -44,6 +46,36 @@ def test_only_live_changes_since_the_start_are_taken_up_again() -> None:
     assert (after.max_range_m, after.trigger_rate_hz) == (80.0, 7.0)
     assert after.smoother_lag_s == Settings().smoother_lag_s, "acts from the next start of the service"
     assert resumed(settings, {"RNG_MAX": 90.0}, {"RNG_MAX": 100.0}).max_range_m == 100.0
+
+
+def test_a_value_that_waits_for_the_next_start_is_shown_and_can_be_taken_back() -> None:
+    """IMU_RATE was set from 333 to 200 in flight, and the inertial process then started anew."""
+    stored: list[dict[str, float]] = []
+
+    class Store:
+        def keep(self, values: dict[str, float]) -> None:
+            stored.append(values)
+
+        def problems(self) -> list[str]:
+            return []
+
+    running = Settings().replace("IMU_RATE", 333.0)
+    server = ParameterServer(running, Store(), {"IMU_RATE": 200.0}, pending={"IMU_RATE": 200.0})
+    assert server.settings == running
+    server.ask("IMU_RATE", 200.0, 0)
+    assert stored == [], "no change"
+    server.ask("IMU_RATE", 333.0, 0)
+    assert stored == [{"IMU_RATE": 333.0}]
+
+
+def test_a_trigger_that_cannot_be_opened_ends_its_process_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_line(*_: Any) -> None:
+        raise DeviceError("no GPIO chip /dev/gpiochip9")
+
+    monkeypatch.setattr(wiring, "serve_trigger", no_line)
+    config = ServiceConfig(load_airframe("nadir-2m"), Settings(), (), trigger=lambda: None)
+    with pytest.raises(SystemExit, match="spanwise trigger: no GPIO chip"):
+        wiring._trigger_process(config, line_pair()[0], StopFlag())
 
 
 class Vehicle:

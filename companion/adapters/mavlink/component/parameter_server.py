@@ -15,6 +15,7 @@ import struct
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from companion.adapters.mavlink.decode.message_records import Heard
@@ -64,7 +65,8 @@ class ParameterServer:
 
     ``settings`` are the values in force at the start. ``store`` is given all values that were set, by name, after each
     change; without it nothing is kept. ``stored`` are the values of earlier runs, which stay stored. ``reserved`` are
-    component ids of others, which ours must not become.
+    component ids of others, which ours must not become. ``pending`` are values that were set since the service started
+    and act from its next start on.
     """
 
     def __init__(
@@ -73,15 +75,18 @@ class ParameterServer:
         store: Store | None = None,
         stored: Mapping[str, float] | None = None,
         reserved: Collection[int] = (),
+        pending: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self.settings = settings
         self._next = settings  # with what acts from the next start on
+        for name, value in pending.items():
+            self._next = self._next.replace(name, value)
         self._reserved = reserved
         self.refused = 0
         self._component = settings.component_id
         self._rows: tuple[Tunable, ...] = tuple(tunables())
         self._index = {row.name: index for index, row in enumerate(self._rows)}
-        self._values = settings.values()
+        self._values = self._next.values()
         self._store = store
         self._stored = dict(stored or {})
         self._waiting: deque[int] = deque()
