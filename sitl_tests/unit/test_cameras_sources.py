@@ -12,6 +12,7 @@ import pytest
 from companion.adapters.cameras.folder import FolderPair
 from companion.adapters.cameras.video import CapturePair
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.pairing import FramePairer
 from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.records import ClockName, Side
@@ -115,3 +116,45 @@ def test_a_device_without_frames_is_gone_unless_it_waits_for_a_trigger(
         devices[1].rmdir()
     with pytest.raises(DeviceError, match="gives no more frames"):
         pair.poll(0.1)
+
+
+@pytest.mark.parametrize("misses", [(), (3,), (3, 4, 9)])
+@pytest.mark.parametrize("blind", Side)
+def test_a_frame_that_one_camera_misses_makes_no_later_pair_older(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blind: Side, misses: tuple[int, ...]
+) -> None:
+    """Ten triggers a second; a driver holds the frames that were not fetched."""
+    now_s = [0.0]
+
+    class Driver:
+        def __init__(self, source: str) -> None:
+            missed = misses if source.endswith(blind.name) else ()
+            self.waiting = [0.1 * k for k in range(1, 20) if k not in missed]
+            self.at_s = 0.0
+
+        def isOpened(self) -> bool:
+            return True
+
+        def grab(self) -> bool:
+            """The oldest frame that waits, or the next one when it comes."""
+            self.at_s = self.waiting.pop(0)
+            now_s[0] = max(now_s[0], self.at_s)
+            return True
+
+        def get(self, _: int) -> float:
+            return 1e3 * self.at_s
+
+        def retrieve(self) -> tuple[bool, np.ndarray]:
+            return True, np.zeros((4, 4), np.uint8)
+
+    monkeypatch.setattr("companion.adapters.cameras.video.cv2.VideoCapture", Driver)
+    names = [tmp_path / side.name for side in Side]
+    for name in names:
+        name.mkdir()
+    cameras, pairer, ages_s = CapturePair(*map(str, names), triggered=True), FramePairer(), []
+    for _ in range(12):
+        for frame in cameras.poll(0.1):
+            pairs, _ = pairer.add(frame)
+            ages_s += [now_s[0] - 1e-9 * pair.left.mid_exposure_ns for pair in pairs]
+    assert len(ages_s) >= 12 - len(misses)
+    assert max(ages_s) < 0.01

@@ -12,6 +12,9 @@ import numpy as np
 from companion.errors import DeviceError
 from companion.records import PLAN_UNKNOWN, Bytes, ClockName, Frame, Side
 
+_BUFFERS = 4  # convention: frames that OpenCV lets a V4L2 driver hold
+_APART_NS = 8_000_000  # chosen: as of two frames that are no pair (core/stereo/pairing.py)
+
 
 class CapturePair:
     """Implements :class:`companion.ports.CameraPair` over two ``cv2.VideoCapture``.
@@ -52,19 +55,28 @@ class CapturePair:
         self._sequence = 0
 
     def poll(self, timeout_s: float) -> list[Frame]:  # noqa: ARG002 - OpenCV waits for the frame itself
-        """The next frame of both; none at the end of a file.
+        """The next frame of both, and of a live camera that is behind the other the next ones; none at a file's end.
+
+        A frame that one camera misses stays in the other's driver. Were it not fetched, all later pairs would be older
+        by a frame.
 
         Raises
         ------
         DeviceError
             A live camera gives no more frames, or frames without a stamp.
         """
-        grabbed = [capture.grab() for capture in self._captures]
+        grabbed = [self._grab(side) for side in Side]
         if not all(grabbed):
-            if self._live and not (self._triggered and all(device.exists() for device in self._devices)):
-                raise DeviceError(f"camera {Side(grabbed.index(False)).name.lower()} gives no more frames")
             return []
-        frames = [self._frame(side, capture) for side, capture in zip(Side, self._captures, strict=True)]
+        frames = [self._frame(side) for side in Side]
+        newest = list(frames)
+        for _ in range(_BUFFERS if self._live else 0):
+            behind = min(Side, key=lambda side: newest[side].mid_exposure_ns)
+            apart_ns = newest[1 - behind].mid_exposure_ns - newest[behind].mid_exposure_ns
+            if apart_ns <= _APART_NS or not self._grab(behind):
+                break
+            newest[behind] = self._frame(behind)
+            frames.append(newest[behind])
         self._sequence += 1
         return frames
 
@@ -73,7 +85,14 @@ class CapturePair:
         for capture in self._captures:
             capture.release()
 
-    def _frame(self, side: Side, capture: Any) -> Frame:
+    def _grab(self, side: Side) -> bool:
+        grabbed = self._captures[side].grab()
+        if not grabbed and self._live and not (self._triggered and all(device.exists() for device in self._devices)):
+            raise DeviceError(f"camera {side.name.lower()} gives no more frames")
+        return bool(grabbed)
+
+    def _frame(self, side: Side) -> Frame:
+        capture = self._captures[side]
         stamp_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         read, image = capture.retrieve()
         if not read or (self._live and stamp_ns <= 0):
