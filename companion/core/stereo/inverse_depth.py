@@ -114,8 +114,9 @@ def consistent(depths: Depths, turn_sigma_rad: float = math.inf) -> Ints:
 
     A parallax that is smooth over the image is an error of the extrinsics. A match that departs from it by more than
     five times the scatter of all parallaxes is wrong. The scatter counts only as far as the matches' sigmas and the
-    one-sigma ``turn_sigma_rad`` of the relative rotation explain it, because wrong matches enlarge it. Matches without
-    a positive sigma, whose rays meet behind the cameras, are left out.
+    one-sigma ``turn_sigma_rad`` of the relative rotation explain it, because wrong matches enlarge it, and at least as
+    a match's own sigma, because a plane through few matches leaves less. Matches without a positive sigma, whose rays
+    meet behind the cameras, are left out.
     """
     return _consistent(depths, turn_sigma_rad)[0]
 
@@ -133,7 +134,8 @@ def _consistent(depths: Depths, turn_sigma_rad: float) -> tuple[Ints, bool]:
         return finite, True
     scatter_rad = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
     explained_rad = _explained_rad(depths, finite, turn_sigma_rad)
-    alike: Bools = np.abs(residual) <= 5.0 * np.fmin(scatter_rad, explained_rad) + 1e-6
+    allowed_rad = np.fmin(np.fmax(scatter_rad, depths.sigma_rad[finite]), explained_rad)
+    alike: Bools = np.abs(residual) <= 5.0 * allowed_rad + 1e-6
     return finite[alike], scatter_rad <= float(np.median(explained_rad))
 
 
