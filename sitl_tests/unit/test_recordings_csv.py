@@ -248,6 +248,23 @@ def test_stamps_in_unix_milliseconds_are_refused(tmp_path: Path) -> None:
         read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
 
 
+@pytest.mark.parametrize(("unit_s", "said"), [(1e-3, "every 5 s"), (1e-6, "every 5000 s"), (1e3, "every 5e-06 s")])
+def test_stamps_in_another_unit_are_refused(tmp_path: Path, unit_s: float, said: str) -> None:
+    """Samples at 200 Hz whose stamps begin at 0, in ms, us or ks."""
+    rows = "".join(f"{0.005 * k / unit_s:.9g},-9.8\n" for k in range(600))
+    with pytest.raises(RecordingError, match=rf"accel\.csv: samples come {said}.* is t_s in seconds"):
+        read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
+
+
+def test_stamps_before_zero_are_replayed_from_zero(tmp_path: Path) -> None:
+    """A laboratory counts from a trigger event; the table itself keeps its stamps."""
+    rows = "".join(f"{-100.0 + 0.005 * k:.3f},{-9.8 + 0.01 * (k % 7):.2f}\n" for k in range(600))
+    recording = read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
+    assert stream(recording, Station.LEFT).t_ns[0] == -100_000_000_000
+    t_ns = np.concatenate([batch.t_ns for batch in recording.records()])
+    assert (t_ns[0], t_ns[-1]) == (0, 2_995_000_000)
+
+
 def test_a_vertical_axis_that_points_up_is_refused_with_what_it_should_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"'left_z' reads \+1\.00 g .*turn its sign"):
         level(tmp_path, "t_s,left_z_mps2", 9.80665)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ _UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter i
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{AXIS_LETTERS}]_[a-z0-9]+")
+_FINEST_STEP_S, _COARSEST_STEP_S = 2e-5, 0.2  # the rates that an airframe may have (derived)
+_FEWEST_STEPS = 20  # that show a rate (choice)
 _LATEST_S = 9.2e9  # derived: whole nanoseconds of it still fit into 64 bits
 _MOST_G = 3.0  # chosen: on average no flight pulls more; a higher mean is a wrong unit
 _FEWEST = 100  # chosen: samples that gravity is judged by: fewer may all lie in one manoeuvre
@@ -91,8 +93,8 @@ class CsvRecording(LoggedRecording):
             self.notes.gaps(f"{path.name}: {stream.station.name.lower()}", stream.t_ns)
 
     def records(self) -> Iterator[ImuBatch]:
-        """The samples in batches of 20 ms, in order of time."""
-        yield from merge(*map(timed, self.streams))
+        """The samples in batches of 20 ms, in order of time, which counts from 0 where stamps are negative."""
+        yield from merge(*map(timed, from_zero(self.streams)))
 
     def _accel(self, file: Path) -> Iterator[InertialStream]:
         table = read_table(file)
@@ -217,6 +219,12 @@ def increasing(stream: InertialStream) -> InertialStream:
     return dataclasses.replace(stream, t_ns=t_ns, values=stream.values[rows])
 
 
+def from_zero(streams: Sequence[InertialStream]) -> list[InertialStream]:
+    """The streams later by as much as their first sample is before 0, where a pipeline's time begins."""
+    first_ns = min((int(stream.t_ns.min()) for stream in streams if stream.t_ns.size), default=0)
+    return [dataclasses.replace(stream, t_ns=stream.t_ns - min(first_ns, 0)) for stream in streams]
+
+
 def gravity(path: Path, stream: InertialStream) -> Iterator[str]:
     """Look for gravity in the vertical axis: a sentence where it is missing.
 
@@ -257,9 +265,17 @@ def nanoseconds(path: Path, t_s: Floats) -> Ints:
     Raises
     ------
     RecordingError
-        They do not fit: the stamps are in another unit.
+        They do not fit, or come at no rate of a sensor: the stamps are in another unit.
     """
     largest = float(np.max(np.abs(t_s), initial=0.0))
     if largest > _LATEST_S:
         raise RecordingError(f"{path}: t_s reaches {largest:.4g}, t_s must be in seconds: convert it, or map its unit")
+    steps_s = np.diff(t_s)
+    steps_s = steps_s[steps_s > 0.0]
+    step_s = float(np.median(steps_s)) if len(steps_s) >= _FEWEST_STEPS else _FINEST_STEP_S
+    if not _FINEST_STEP_S <= step_s <= _COARSEST_STEP_S:
+        rates = f"a sensor's come at {1.0 / _COARSEST_STEP_S:g} Hz to {1e-3 / _FINEST_STEP_S:g} kHz"
+        raise RecordingError(
+            f"{path}: samples come every {step_s:.4g} s, and {rates}: is t_s in seconds? Convert it, or map its unit"
+        )
     return np.rint(t_s * 1e9).astype(np.int64)
