@@ -162,7 +162,7 @@ def calibrate_rig(
     """
     try:
         return _calibrated(views, board, size_px, rejected, focal_px)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, cv2.error) as error:  # of corners that all lie in a row
         raise ConfigError(_UNDETERMINED) from error
 
 

@@ -225,6 +225,15 @@ def test_one_view_again_and_again_is_refused() -> None:
         calibrate_rig([dataclasses.replace(view, name=str(k)) for k in range(6)], CHARUCO, SIZE)
 
 
+def test_corners_that_all_lie_in_a_row_are_refused() -> None:
+    """A ChArUco board that is seen in part; OpenCV's own error is no answer."""
+    board, row = Board("charuco", (20, 7), 0.03), np.arange(19)
+    pixels = [np.column_stack([40.0 + (25.0 + k) * row, 200.0 + k * row]) for k in range(8)]
+    views = [BoardView(f"view{k}", Corners(row, each), Corners(row, each - 5.0)) for k, each in enumerate(pixels)]
+    with pytest.raises(ConfigError, match="tilt the board"):
+        calibrate_rig(views, board, SIZE)
+
+
 def test_steps_do_not_run_away_where_the_views_leave_the_lenses_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undamped, these two end in a singular matrix and in lenses that are not finite."""
     bundles: list[Bundle] = []

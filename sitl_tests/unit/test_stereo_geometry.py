@@ -89,6 +89,8 @@ def test_contradictory_axes_are_named(axes: tuple[str, str, str], nadir: Airfram
         ({"focal_px": Uncertain(0.0)}, "focal_px"),
         ({"width_px": 0}, "width_px"),
         ({"distortion": (0.1, 0.2)}, "distortion needs 5"),
+        ({"distortion": (-0.42, 0.25, 0.0, 0.0, -0.08), "focal_px": Uncertain(400.0)}, "distortion folds"),
+        ({"row_time_s": 3e-5}, "row_time_s of the cameras differ"),
         ({"position_m": (0.0, 0.99, 0.0)}, "smaller position_m y"),
         ({"axes": ("y", "z", "x")}, "45 degrees"),
         ({"axes": ("-y", "x", "z")}, "rolled by 180 degrees against each other"),

@@ -23,6 +23,7 @@ _DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3 (convention)
 _MOST_ROLL_RAD = np.radians(12.0)
 _LEAST_ALONG = 0.5  # cosine of the look with the range axis: beyond 60 degrees hardly a lens sees the axis (choice)
 _ORIENTATIONS = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}  # MAV_SENSOR_ORIENTATION (common.xml)
+_MOST_FOLD_PX = 0.1  # a round trip through a lens with an inverse is right to 1e-6 px (choice)
 _MOST_SCALE_RATIO = 1.15  # measured: of 183 matches of equal pixels 30 are left at 1.25, none at 1.5
 # A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
 # numerical: steps at most, and a residual by which rounding rules
@@ -136,6 +137,7 @@ class MountedCamera:
         focal, tall = camera.focal_px.value, camera.focal_px.value * camera.focal_ratio
         matrix = np.array([[focal, 0.0, camera.principal_px[0]], [0.0, tall, camera.principal_px[1]], [0.0, 0.0, 1.0]])
         lens = Lens(matrix, np.array(camera.distortion), (camera.width_px, camera.height_px))
+        _check_fold(lens, name)
         mounting = exp_rotation(-np.array(camera.rotation_rad))
         rest = Pose(mounting @ axes_from_body(camera.axes, f"{name}.axes"), np.array(camera.position_m))
         return cls(side, lens, rest, camera.slope_gain, camera.lift_gain)
@@ -176,6 +178,10 @@ class Rig:
         left_camera, right_camera = airframe.camera_pair
         left = MountedCamera.from_record(Side.LEFT, left_camera, "left_camera")
         right = MountedCamera.from_record(Side.RIGHT, right_camera, "right_camera")
+        if left_camera.row_time_s != right_camera.row_time_s:
+            raise ConfigError(
+                f"airframe '{airframe.name}': row_time_s of the cameras differ; use the same sensor twice"
+            )
         _check_pair(left, right, airframe.name)
         return cls(left, right)
 
@@ -250,6 +256,19 @@ def _check(camera: Camera, name: str) -> None:
         raise ConfigError(f"{name}.focal_ratio must be positive, not {camera.focal_ratio:g}")
     if len(camera.distortion) != _DISTORTION_TERMS:
         raise ConfigError(f"{name}.distortion needs 5 terms (k1, k2, p1, p2, k3), not {len(camera.distortion)}")
+
+
+def _check_fold(lens: Lens, name: str) -> None:
+    """Refuse a distortion that has no inverse in the corners: rays there would be finite and wrong."""
+    width, height = lens.size_px
+    corners = np.array([[x, y] for x in (0.0, width - 1.0) for y in (0.0, height - 1.0)])
+    off_px = np.linalg.norm(lens.project(lens.unproject(corners)) - corners, axis=1)
+    worst_px = float(np.max(np.nan_to_num(off_px, nan=np.inf)))
+    if worst_px > _MOST_FOLD_PX:
+        raise ConfigError(
+            f"{name}.distortion folds the image: rays through its corners come back {worst_px:.0f} px beside them; "
+            "calibrate again with boards in the corners"
+        )
 
 
 def _check_pair(left: MountedCamera, right: MountedCamera, name: str) -> None:
