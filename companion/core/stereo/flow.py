@@ -53,14 +53,16 @@ class FlowInnovation:
     residual_rad, sigma_rad : (2m,) float64
         Residual as a slope, and its one-sigma by matching.
     rotation : (2m, 3) float64
-        Change of the prediction per radian of relative rotation, epipolar axes, through the inverse depth alone; the
-        half turn of the left camera's own axes, under 2 % of it, is left out.
+        Change of the prediction per radian of relative rotation, epipolar axes, through the inverse depth alone. The
+        half turn of the left camera's own axes is left out: under 2 % of the yaw's column, but 30 % and more of those
+        of pitch and roll, which hardly change the inverse depth.
     lens : (2m, 9) float64
         Change per unit of each term of the pair's lens residual.
     baseline : (2m, 2) float64
         Change per radian of the baseline's direction, along the epipolar frame's y and z.
     turn : (2m, 3) float64
-        Change per radian of error of the body's turn, a rotation vector in epipolar axes.
+        Change per radian of error of the body's turn, a rotation vector in epipolar axes, about the left camera: its
+        way from the body's origin, of the place's inverse depth, is left out.
     velocity : (2m, 3) float64
         Change per m/s of error of the velocity, epipolar axes.
     stamps : (2m, 2) float64
