@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
 from companion.doctor.evidence import Evidence, Finding, Fix
-from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE
+from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, UNANSWERED
 from companion.params.airframe import Sensor, Source
 from companion.records import Axis, Station
 
@@ -156,11 +156,13 @@ def _feedback(evidence: Evidence) -> Iterator[Finding]:
 def _planned(counts: dict[str, int]) -> Finding:
     """Outcomes of a recording's plans to fire, and the fix where too many came to nothing."""
     text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
-    tried = sum(counts.get(outcome, 0) for outcome in (FIRED, LATE, FAILED))
+    tried = sum(counts.get(outcome, 0) for outcome in (FIRED, LATE, FAILED, UNANSWERED))
     if counts.get(FAILED, 0) > _LOST * tried:
         return Finding.fix("shots", text + ": is a camera set up on that line, and free at TRG_RATE?")
     if counts.get(LATE, 0) > _LOST * tried:
         return Finding.fix("shots", text + ": the computer is too busy, or has no real-time priority")
+    if counts.get(UNANSWERED, 0) > _LOST * tried:
+        return Finding.fix("shots", text + ": does the trigger process run, and its board answer?")
     return Finding.ok("shots", text)
 
 

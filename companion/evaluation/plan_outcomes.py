@@ -9,6 +9,7 @@ from companion.records import Firing, Record, Reject, Rejected, Shot, TriggerPla
 
 FIRED = "fired"
 REPLACED = "gave way to a better instant"
+UNANSWERED = "not answered by the trigger"
 LATE = "came too late to be fired"
 FAILED = "refused by the trigger or the autopilot"
 WITHDRAWN = "withdrawn"
@@ -21,13 +22,14 @@ _ANSWER_NS = 1_000_000_000  # chosen: a failure is told by then, or belongs to n
 class _Entry:
     plan: TriggerPlan
     outcome: str | None = None
+    followed_host_ns: int = 0  # when the next plan was made
 
     def final_outcome(self) -> str:
         """Outcome once a newer plan has come."""
         if self.outcome is not None:
             return self.outcome
         if self.plan.firing is not Firing.SKIP:
-            return REPLACED
+            return UNANSWERED if self.followed_host_ns > self.plan.command_host_ns else REPLACED
         return WITHDRAWN if self.plan.reject is None else SKIPPED + str(self.plan.reject)
 
 
@@ -64,6 +66,8 @@ class PlanOutcomes:
         return {outcome: total[outcome] for outcome in order}
 
     def _refine(self, plan: TriggerPlan) -> None:
+        if self._entries and plan.plan_id not in self._entries:
+            self._entries[next(reversed(self._entries))].followed_host_ns = plan.planned_host_ns
         self._entries.setdefault(plan.plan_id, _Entry(plan)).plan = plan
         while len(self._entries) > _OPEN_PLANS:
             _, oldest = self._entries.popitem(last=False)
