@@ -135,7 +135,7 @@ class TrueGeometry:
 
     def _read_rays(self, matches: MatchSet, rig: Rig, rays: Rays) -> TrueReading | None:
         sight = range_axis_of_rig(self._belief, self._axis)
-        depths = triangulate(rays, sight, matches.sigma_px / rig.left.lens.focal_px)
+        depths = triangulate(rays, sight, rig.slope_sigma_rad(Side.RIGHT, matches.right_px, matches.sigma_px))
         product, looks_down = RangeProduct(self.settings.product), self.flight.airframe.looks_down
         reading = robust_inverse_depth(depths, product, self.settings.min_matches, one_surface=looks_down)
         if reading is None:

@@ -239,14 +239,14 @@ class Correction:
             return None
         rates_radps = np.stack([earlier.rate_radps, moving[Side.LEFT].rate_radps])
         between = replace(between, camera_rates_radps=rates_radps, stamp_sigma_s=waiting.timing_sigma_s)
-        lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
+        lens, tips = self.rig.left.lens, TipMotion.from_airframe(self.airframe)
         return FlowView(
             index,
             rays.at(index),
-            matches.sigma_px[index] / focal_px,
+            self.rig.slope_sigma_rad(Side.RIGHT, matches.right_px[index], matches.sigma_px[index]),
             lens.unproject(flow.earlier_px),
             lens.unproject(matches.left_px[index]),
-            flow.sigma_px / focal_px,
+            self.rig.slope_sigma_rad(Side.LEFT, flow.earlier_px, flow.sigma_px),
             bent_pose(self.rig.left, tips, earlier.left_bend),
             bent_pose(self.rig.left, tips, later),
             between,

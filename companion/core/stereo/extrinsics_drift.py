@@ -114,7 +114,7 @@ class ExtrinsicsDriftFilter:
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         if use_matches:
-            sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
+            sigma_rad = self._rig.slope_sigma_rad(Side.RIGHT, matches.right_px, matches.sigma_px)
             shift = self._shift(bend, exposures, timing_sigma_s, motion)
             axes = LensAxes.exposed(exposures, self._filter.epipolar_from_body)
             update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow, axes)

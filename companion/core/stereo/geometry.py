@@ -23,6 +23,7 @@ _DISTORTION_TERMS = 5  # k1, k2, p1, p2, k3 (convention)
 _MOST_ROLL_RAD = np.radians(12.0)
 _LEAST_ALONG = 0.5  # cosine of the look with the range axis: beyond 60 degrees hardly a lens sees the axis (choice)
 _ORIENTATIONS = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}  # MAV_SENSOR_ORIENTATION (common.xml)
+_HALF_STEP_PX = 0.5  # of the difference quotient of a lens (numerical)
 _MOST_FOLD_PX = 0.1  # a round trip through a lens with an inverse is right to 1e-6 px (choice)
 _MOST_SCALE_RATIO = 1.15  # measured: of 183 matches of equal pixels 30 are left at 1.25, none at 1.5
 # A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
@@ -108,6 +109,26 @@ class Lens:
         if flat.size:
             rays[:, :2] = cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=_UNDISTORT_STOP)[:, 0]
         return rays
+
+    def px_per_slope(self, pixels: Floats, along: Floats) -> Floats:
+        """Pixels by which an image place moves per unit of its ray's slope: the focal length, less what the lens bends.
+
+        Parameters
+        ----------
+        pixels : (n, 2) float64
+            Column, row.
+        along : (2,) float64
+            Direction in the image, of unit length.
+
+        Returns
+        -------
+        (n,) float64
+        """
+        if not self.distortion.any():
+            return np.full(len(pixels), float(np.linalg.norm(along * self.matrix[[0, 1], [0, 1]])))
+        moved = self.unproject(pixels + _HALF_STEP_PX * along) - self.unproject(pixels - _HALF_STEP_PX * along)
+        per_slope: Floats = 2.0 * _HALF_STEP_PX / np.linalg.norm(moved, axis=1)
+        return per_slope
 
     def distort(self, normalised: Floats) -> Floats:
         """Bend ideal image coordinates (x/z, y/z) as the lens does (Brown's model, as OpenCV defines it)."""
@@ -196,6 +217,13 @@ class Rig:
     def project(self, side: Side, pose: Pose, points_body_m: Floats) -> Floats:
         """Pixels (n, 2) of body points (n, 3); see :meth:`MountedCamera.project`."""
         return self.camera(side).project(pose, points_body_m)
+
+    def slope_sigma_rad(self, side: Side, pixels: Floats, sigma_px: Floats) -> Floats:
+        """One-sigma (n,), as a slope, of places (n, 2) in a camera's image whose sigma along the baseline is in px."""
+        camera = self.camera(side)
+        along = (camera.rest.camera_from_body @ (self.right.rest.position_body_m - self.left.rest.position_body_m))[:2]
+        sigma_rad: Floats = sigma_px / camera.lens.px_per_slope(pixels, along / np.linalg.norm(along))
+        return sigma_rad
 
     @property
     def baseline_m(self) -> float:

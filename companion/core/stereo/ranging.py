@@ -23,7 +23,16 @@ from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_r
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject, RelativeRotation
+from companion.records import (
+    CorrectedRange,
+    Deflection,
+    Floats,
+    MatchSet,
+    ObstacleSectors,
+    Reject,
+    RelativeRotation,
+    Side,
+)
 
 # error that all matches of a pair may share: blur that differs between the cameras, imperfect interpolation (choice)
 _COMMON_MATCH_PX = 0.02
@@ -205,7 +214,9 @@ class _Scene:
         if matches is not self.matches:
             axes = LensAxes.exposed(self.moving, epipolar_frame(self.rig))
             rays = straightened(match_rays(self.rig, self.moving, matches), self.lens, axes)
-        return triangulate(rays, self.range_axis, matches.sigma_px / self.rig.left.lens.focal_px)
+        return triangulate(
+            rays, self.range_axis, self.rig.slope_sigma_rad(Side.RIGHT, matches.right_px, matches.sigma_px)
+        )
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""
