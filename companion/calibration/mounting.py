@@ -13,6 +13,7 @@ accelerometer bias of 0.02 m/s^2 does (2 mrad), and turning the aircraft the oth
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from companion.core.stereo.rotation import exp_rotation, log_rotation, skew
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
+from companion.units import GRAVITY_MPS2
 
 LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by (choice)
 _MAX_STEPS = 20  # Gauss-Newton steps at most (numerical)
@@ -128,7 +130,15 @@ def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> A
     apart_m = middle.T @ before[0] @ (np.array(right_camera.position_m) - left_m)
     x, y, z = (float(entry) for entry in left_m + apart_m)
     right_turned = dataclasses.replace(turned[1], position_m=(x, y, z))
-    return dataclasses.replace(base, left_camera=turned[0], right_camera=right_turned)
+    sigma_rad = _pair_sigma_rad(base, left, right)
+    return dataclasses.replace(base, left_camera=turned[0], right_camera=right_turned, pair_sigma_rad=sigma_rad)
+
+
+def _pair_sigma_rad(base: Airframe, left: Mounting, right: Mounting) -> float:
+    """Sigma of a turn of both cameras: half of either section's error, by its scatter and its accelerometer's bias."""
+    biases_rad = [sensor.accel_bias_sigma_mps2 / GRAVITY_MPS2 for sensor in (base.left, base.right)]
+    scatters_rad = [float(np.sqrt(np.mean(mounting.sigma_rad**2))) for mounting in (left, right)]
+    return 0.5 * math.hypot(*biases_rad, *scatters_rad)
 
 
 def disagreement_rad(base: Airframe, left: Mounting, right: Mounting) -> float:

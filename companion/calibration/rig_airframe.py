@@ -45,9 +45,13 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     # each camera is given half of the variance; what rotation and principal points trade is in neither
     sigma = float(np.sqrt(np.mean(look_sigma_rad(fit.bundle, fit.size_px) ** 2) / 2.0))
     right = dataclasses.replace(right, rotation_rad=(x, y, z), position_m=(px, py, pz), rotation_sigma_rad=sigma)
-    return dataclasses.replace(
-        base, left_camera=dataclasses.replace(left, rotation_sigma_rad=sigma), right_camera=right
-    )
+    left = dataclasses.replace(left, rotation_sigma_rad=sigma)
+    return dataclasses.replace(base, left_camera=left, right_camera=right, pair_sigma_rad=_pair_sigma_rad(base))
+
+
+def _pair_sigma_rad(base: Airframe) -> float:
+    """Sigma of a turn of both cameras as the base knows it: no board tells how they sit on the aircraft."""
+    return math.hypot(base.pair_sigma_rad, *(0.5 * camera.rotation_sigma_rad for camera in base.camera_pair))
 
 
 def _require_like(pair: tuple[Camera, Camera], turn_rad: Floats, apart_m: Floats) -> None:

@@ -214,7 +214,11 @@ class NamedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """One aircraft as Spanwise believes it to be; without cameras where only the wing is of interest."""
+    """One aircraft as Spanwise believes it to be; without cameras where only the wing is of interest.
+
+    ``pair_sigma_rad`` is how well it is known how the pair as a whole is mounted, beyond ``rotation_sigma_rad`` of each
+    camera: a stereo calibration knows how they are turned against each other, and not how both are on the aircraft.
+    """
 
     name: str
     description: str
@@ -225,6 +229,7 @@ class Airframe:
     left_camera: Camera | None = None
     right_camera: Camera | None = None
     orientation: int = int(Orientation.DOWN)
+    pair_sigma_rad: float = 0.0
     effects: tuple[NamedEffect, ...] = ()
 
     @property

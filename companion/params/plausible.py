@@ -32,7 +32,8 @@ class Range:
 # by class, then by key; an array's elements each
 RANGES: dict[str, dict[str, Range]] = {
     "Airframe": {
-        "orientation": Range(0, 39, "", "MAVLink's sensor orientations are 0 (forward), 25 (down) and others below 40")
+        "orientation": Range(0, 39, "", "MAVLink's sensor orientations are 0 (forward), 25 (down) and others below 40"),
+        "pair_sigma_rad": Range(0, 1, "rad", "a sigma"),
     },
     "Wing": {
         "semispan_m": Range(0.05, 50, "m", "from a bench beam to the largest solar aircraft"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -126,13 +128,16 @@ def test_calibration_sigma_is_root_two_times_one_camera_for_toe() -> None:
     assert answer.causes_m.calibration == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 1e-3, rel=0.02)
 
 
+@pytest.mark.parametrize(("camera_rad", "pair_rad"), [(1e-2, 0.0), (0.0, 1e-2 / np.sqrt(2.0))])
 @pytest.mark.parametrize("bank_deg", [0.0, 30.0, -45.0])
-def test_a_turn_of_both_cameras_moves_the_axis_over_tilted_ground(bank_deg: float) -> None:
+def test_a_turn_of_both_cameras_moves_the_axis_over_tilted_ground(
+    bank_deg: float, camera_rad: float, pair_rad: float
+) -> None:
     """A turn by theta in the bank changes the range by ``Z tan(bank) theta``.
 
     Two independent mountings turn the pair by 1/root 2 of the sigma of either.
     """
-    airframe = nadir(**perfect_calibration(rotation_sigma_rad=1e-2))
+    airframe = dataclasses.replace(nadir(**perfect_calibration(rotation_sigma_rad=camera_rad)), pair_sigma_rad=pair_rad)
     rig, bank = Rig.from_airframe(airframe), np.radians(bank_deg)
     down = np.array([0.0, np.sin(bank), np.cos(bank)])
     rays = ground_below(1.0, 1000, 8, spread=0.3)

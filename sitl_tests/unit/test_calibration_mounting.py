@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -153,7 +154,10 @@ def test_the_pair_is_turned_by_the_mean_of_both_and_keeps_its_relative_pose() ->
     left, right = (
         Mounting(exp_rotation(way) @ rest, np.full(3, 1e-3), np.zeros(4)) for way, rest in zip(ways, rests, strict=True)
     )
-    made = Rig.from_airframe(airframe_with_mounting(base, left, right))
+    written = airframe_with_mounting(base, left, right)
+    made = Rig.from_airframe(written)
+    bias_rad = base.left.accel_bias_sigma_mps2 / 9.80665
+    assert written.pair_sigma_rad == pytest.approx(math.sqrt(0.5) * math.hypot(1e-3, bias_rad), rel=1e-3)
     before = rests[1] @ rests[0].T
     assert np.allclose(made.right.rest.camera_from_body @ made.left.rest.camera_from_body.T, before, atol=1e-12)
     seen_m = [

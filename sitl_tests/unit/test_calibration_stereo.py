@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -272,7 +273,12 @@ def test_a_board_printed_at_97_percent_is_refused_and_half_of_that_is_told() -> 
     """Three per cent of all ranges, in no sigma."""
     fit = calibrate_rig(_drawn(0.4, 3), CHARUCO, SIZE)
     assert baselines(_taped(0.25), fit).endswith("0.250 m apart, the airframe file 0.250 m (+0.0 %)")
-    airframe_with_rig(_taped(0.25 / 1.015), fit)
+    base = dataclasses.replace(_taped(0.25 / 1.015), pair_sigma_rad=3e-3)
+    cameras = [dataclasses.replace(camera, rotation_sigma_rad=0.01) for camera in base.camera_pair]
+    made = airframe_with_rig(dataclasses.replace(base, left_camera=cameras[0], right_camera=cameras[1]), fit)
+    assert made.pair_sigma_rad == pytest.approx(math.hypot(3e-3, 0.01 / math.sqrt(2.0))), (
+        "of that a board tells nothing"
+    )
     assert baselines(_taped(0.25 / 1.015), fit).endswith("by as much: measure a square of the board for --square-m")
     with pytest.raises(ConfigError, match=r"\(\+3\.0 %\): measure a square"):
         airframe_with_rig(_taped(0.25 / 1.03), fit)

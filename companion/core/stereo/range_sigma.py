@@ -153,6 +153,8 @@ def budget(
             + apart_gradient @ apart @ apart_gradient
         )
         calibration, timing = _of_both_cameras(gradient, airframe, exposures, timing_sigma_s)
+    alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
+    calibration += airframe.pair_sigma_rad**2 * float(alike @ alike)
     timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
     return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
 
