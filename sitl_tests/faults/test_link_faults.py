@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link, open_link
 from companion.adapters.mavlink.link.reconnect import Backoff
 from companion.adapters.mavlink.link.tcp import TcpClient, TcpServer
-from companion.adapters.mavlink.link.udp import UdpIn
+from companion.adapters.mavlink.link.udp import UdpIn, UdpOut
 from companion.errors import LinkDown, LinkError
 from sitl_tests.ports import free_port
 
@@ -211,6 +211,27 @@ def test_a_host_whose_name_nobody_knows_yet_is_waited_for(
         link.read()
         assert time.monotonic() - begin < 5.0
         time.sleep(0.01)
+
+
+def test_a_silent_host_may_have_another_address_by_now(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A laptop that got a new lease: its name is asked for again once it has been silent for 8 s."""
+    names = ["127.0.0.2"]
+    monkeypatch.setattr(socket, "gethostbyname", lambda _: names[0])
+    laptop = held.udp()
+    laptop.settimeout(0.2)
+    link = UdpOut("laptop.local", laptop.getsockname()[1])
+    held.stack.callback(link.close)
+    names[0] = "127.0.0.1"
+    for at_s in (1.0, 7.0):
+        link.receive(65536, round(at_s * 1e9))
+        link.send(b"hello")
+    with pytest.raises(TimeoutError):
+        laptop.recv(100)
+    for at_s in (9.0, 20.0):  # the name is looked up in a thread
+        link.receive(65536, round(at_s * 1e9))
+        time.sleep(0.2)
+    link.send(b"hello")
+    assert laptop.recv(100) == b"hello"
 
 
 def test_a_flood_is_read_in_bounded_chunks_and_read_never_blocks(held: Held) -> None:

@@ -159,6 +159,8 @@ def test_a_fraction_for_a_whole_number_and_a_foreign_type_are_refused() -> None:
     texts = " ".join(notice.text for notice in of_kind(records, Notice))
     assert "whole number" in texts
     assert "REAL32" in texts
+    type_mismatch = 7  # MAVLink common.xml; pymavlink 2.4.50 ends at 5
+    assert {error.error for error in station.errors} == {mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE, type_mismatch}
 
 
 def test_a_live_change_acts_at_once_in_the_adapter_and_through_a_record_in_the_pipeline() -> None:

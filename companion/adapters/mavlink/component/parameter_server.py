@@ -34,6 +34,7 @@ _ASKED_AGAIN_NS = 5 * _SECOND_NS  # chosen: longer than a ground station waits b
 _MOST_STATIONS = 16  # bound of memory
 _MOST_EVENTS = 64  # bound of memory
 _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+_TYPE_MISMATCH = 7  # of MAV_PARAM_ERROR (MAVLink common.xml), which pymavlink 2.4.50 lacks
 
 
 class Store(Protocol):
@@ -160,13 +161,13 @@ class ParameterServer:
             return
         row = self._rows[index]
         value = decimal32(message.param_value)
-        problem = self._problem(row, value)
+        problem, error = self._problem(row, value), mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
         if message.param_type != _REAL32:
-            problem = f"{row.name} is REAL32, not type {message.param_type}"
+            problem, error = f"{row.name} is REAL32, not type {message.param_type}", _TYPE_MISMATCH
         if problem is not None:
             self.refused += 1
             self._say(Severity.WARNING, problem, heard.received_host_ns)
-            self._complain(heard, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
+            self._complain(heard, error)
         elif value != self._values[row.name]:
             self._accept(row, value, heard.received_host_ns)
         self._first(index)

@@ -20,6 +20,7 @@ from companion.errors import LinkError
 _RECEIVE_BUFFER_BYTES = 1 << 20  # chosen: seconds of inertial frames, so that a pause of the reader loses none
 _LARGEST_DATAGRAM = 65536  # bytes, of UDP (by definition)
 _MOST_PEERS = 16  # bound of memory
+_SILENT_NS = 8_000_000_000  # chosen: autopilots beat every second; some beats are lost
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
 _MOST_READS = 64  # of 64 system calls each at most; the same bound where many are read at once
 
@@ -193,19 +194,21 @@ def _is_station(frame: bytes) -> bool:
 class UdpOut(_Udp):
     """Calls one address; answers from anywhere are read, for routers answer from other ports.
 
-    With ``may_be_down`` a name that nobody knows yet is asked for again in growing pauses.
+    With ``may_be_down`` a name that nobody knows yet is asked for again in growing pauses, and so is the name of a host
+    that has become silent: it may have another address by now.
     """
 
     def __init__(self, host: str, port: int, *, may_be_down: bool = False) -> None:
         self._host = HostAddress(f"udpout:{host}:{port}", host, may_be_down=may_be_down)
         self._address, self._port = self._host.newest(), port
-        self._backoff = Backoff()
+        self._backoff, self._heard_host_ns = Backoff(), 0
         self._buffer = memoryview(bytearray(2 * _LARGEST_DATAGRAM))
         super().__init__()
 
     def receive(self, limit: int, now_host_ns: int) -> bytes:
         """Drain the socket."""
-        if self._address is None and self._backoff.due(now_host_ns):
+        silent = self._address is None or now_host_ns - self._heard_host_ns > _SILENT_NS
+        if silent and self._backoff.due(now_host_ns):
             self._address = self._host.newest()
         buffer, filled, receive = self._buffer, 0, self._socket.recv_into
         with contextlib.suppress(BlockingIOError):
@@ -216,6 +219,9 @@ class UdpOut(_Udp):
                     continue
                 if filled >= limit:
                     break
+        if filled:
+            self._heard_host_ns = now_host_ns
+            self._backoff.succeeded()
         return bytes(buffer[:filled])
 
     def send(self, data: bytes) -> bool:
