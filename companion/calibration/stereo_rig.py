@@ -96,26 +96,27 @@ def toe_sigma_rad(fit: RigFit) -> float:
     shared, size = fit.bundle.shared, np.array(fit.size_px, dtype=np.float64)
     left_px = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (0.35, 0.5, 0.65)]) * size
     baseline_m = float(np.linalg.norm(fit.translation_m))
-    right_px = left_px - np.array([shared[0] * baseline_m / _FAR_M, 0.0])
+    apart_m = fit.translation_m[:2]  # along the rows of a pair side by side, along the columns of one turned upright
+    right_px, along = left_px + shared[0] * apart_m / _FAR_M, apart_m / np.linalg.norm(apart_m)
     by = np.empty(len(shared))
     for k, sigma in enumerate(np.sqrt(np.diag(fit.bundle.covariance))):
         step = np.zeros(len(shared))
         step[k] = 1e-2 * max(float(sigma), 1e-12)
-        beyond, before = (_inverse_range_pm(shared + turn * step, left_px, right_px) for turn in (1.0, -1.0))
+        beyond, before = (_inverse_range_pm(shared + turn * step, left_px, right_px, along) for turn in (1.0, -1.0))
         by[k] = float((beyond - before).mean()) / (2.0 * step[k])
     return baseline_m * math.sqrt(max(float(by @ fit.bundle.covariance @ by), 0.0))
 
 
-def _inverse_range_pm(shared: Floats, left_px: Floats, right_px: Floats) -> Floats:
-    """1/Z of left pixels (n, 2) whose column in the right image is known, (n,)."""
+def _inverse_range_pm(shared: Floats, left_px: Floats, right_px: Floats, along: Floats) -> Floats:
+    """1/Z of left pixels (n, 2) whose place along a direction (2,) of the right image is known, (n,)."""
     x_left, x_right = (
         cv2.undistortPoints(pixels[:, None], camera_matrix(lens), lens[4:])[:, 0]
         for pixels, lens in ((left_px, shared[:9]), (right_px, shared[9:18]))
     )
     turn = np.asarray(cv2.Rodrigues(shared[18:21])[0], dtype=np.float64)
     ahead = np.column_stack([x_left, np.ones(len(x_left))]) @ turn.T
-    moved, column = shared[21:24], x_right[:, 0]
-    return np.asarray((column * ahead[:, 2] - ahead[:, 0]) / (moved[0] - column * moved[2]))
+    moved, place = shared[21:24], x_right @ along
+    return np.asarray((place * ahead[:, 2] - ahead[:, :2] @ along) / (moved[:2] @ along - place * moved[2]))
 
 
 def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[BoardView], dict[str, str]]:

@@ -251,6 +251,21 @@ def test_steps_do_not_run_away_where_the_views_leave_the_lenses_open(monkeypatch
 
 
 @pytest.mark.slow
+def test_a_pair_turned_upright_has_the_same_toe_sigma() -> None:
+    """The same corners with both cameras turned by a quarter: rows are columns."""
+    views = _drawn(0.4, 5)
+
+    def upright(corners: Corners) -> Corners:
+        return dataclasses.replace(
+            corners, pixels=np.column_stack([SIZE[1] - 1 - corners.pixels[:, 1], corners.pixels[:, 0]])
+        )
+
+    turned = [BoardView(view.name, upright(view.left), upright(view.right)) for view in views]
+    sigmas = [toe_sigma_rad(calibrate_rig(each, CHARUCO, size)) for each, size in ((views, SIZE), (turned, SIZE[::-1]))]
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.05)
+
+
+@pytest.mark.slow
 def test_the_airframe_that_is_written_has_the_rig_in_it() -> None:
     fit = _fit("charuco")
     rig = Rig.from_airframe(airframe_with_rig(short_base(), fit))
