@@ -32,6 +32,7 @@ _FAR = 0.4  # of the circle's radius
 _USUAL = -2.0  # the autopilot's own cruise speed
 _LEVEL_S, _TRIM_S = 1.5, 4.0
 _PITCH_PER_MPS, _MOST_SLOW_RAD, _SLOWEST = 0.02, 0.08, 0.75
+_SILENT_S = 2.0  # chosen: eight messages at the default OUT_DEBUG
 _FEW, _GROWN, _LEAST_MM = 5, 2.0, 10.0
 
 
@@ -113,6 +114,8 @@ def _doublets(flight: Flight, wing: Wing, place: Working) -> None:
             level.fly(options.half, 0.0 if nod else sign * roll, sign * pitch if nod else 0.0)
         wing.begin()
         level.fly(options.rest)
+        if wing.wants_more:
+            level.fly(options.rest)
         wing.flown += 1
         flight.say(f"  {'pitch' if nod else 'roll'} doublet {number // 2 + 1}: {wing.decayed(place.airspeed_mps)}")
 
@@ -169,6 +172,8 @@ class Wing:
     def check(self) -> None:
         """Gather, and hold the tips to their limit (called by the guard)."""
         at_s = self._watch.named.get("q_sym_mm", (-math.inf, 0.0))[0]
+        if self._last_s and time.monotonic() - at_s > _SILENT_S:
+            raise Aborted(f"the service told nothing of the bend for {_SILENT_S:g} s: nobody watches the wing")
         both = [self._watch.named_value(name) for name in ("q_sym_mm", "q_anti_mm")]
         if both[0] is None or both[1] is None or at_s == self._last_s:
             return
@@ -179,14 +184,25 @@ class Wing:
         if bend_mm > self._limit_mm:
             raise Aborted(f"a wing tip bends by {bend_mm:.0f} mm, limit {self._limit_mm:g} mm")
 
+    @property
+    def wants_more(self) -> bool:
+        """Whether the wing is watched, and too few bends were heard to see whether its motion dies away."""
+        return bool(self._last_s) and len(self._bends) < 2 * _FEW
+
     def decayed(self, airspeed_mps: float) -> str:
         """In words; raises Aborted where the motion grows instead of dying away, which is how flutter begins.
 
-        Gusts swing the wing all the time: only what is well beyond them, at the end of the rest, counts as growth.
+        Gusts swing the wing all the time: only what is well beyond them, at the end of the rest, counts as growth. A
+        wing that was watched, and is so no more, is flown no faster.
         """
-        half = len(self._bends) // 2
-        if half < _FEW:
+        if self.wants_more:
+            raise Aborted(
+                f"{len(self._bends)} bends were heard after the doublet, and {2 * _FEW} show whether the motion dies "
+                "away: raise OUT_DEBUG or --rest, or mend the link"
+            )
+        if not self._last_s:
             return "recorded"
+        half = len(self._bends) // 2
         early, late = (_swing(half_bends) for half_bends in (self._bends[:half], self._bends[half:]))
         if late > early and late > max(_GROWN * self._calm_mm, _LEAST_MM):
             raise Aborted(

@@ -77,6 +77,8 @@ def approach(flight: Flight) -> Exit:
     except Aborted as error:
         if lander.committed:
             raise HandsOff(f"{error}; below {_ON_GROUND_M:g} m the landing is the autopilot's") from error
+        if lander.lands_unseen:  # when the link is back it may stand, and any mode but AUTO lets its motor run
+            raise HandsOff(f"{error}; the landing is the autopilot's and its failsafe's") from error
         if error.response is None and lander.descending:
             lander.go_around(str(error))
             raise Aborted(f"went around: {error}", Response.HOLD, error.code) from error
@@ -115,6 +117,11 @@ class Lander:
         """Whether the slope is being flown."""
         return self._flight.watch.item == self._final
 
+    @property
+    def lands_unseen(self) -> bool:
+        """Whether it flies its landing, and nothing recent is known of it."""
+        return bool(self._flight.options.land) and self.descending and self._flight.watch.out_of_sight
+
     def fly(self) -> Exit:
         """Until the low pass is over, or the aircraft stands."""
         flight, options = self._flight, self._flight.options
@@ -133,7 +140,8 @@ class Lander:
 
         def down() -> bool:
             self._look(watch.item)
-            if self.descending and watch.height_m - flight.options.ground < _ON_GROUND_M:
+            low = watch.height_m - flight.options.ground < _ON_GROUND_M
+            if self.descending and (low or watch.on_ground):
                 self.committed = True  # no order from here on: it would start the motor on the ground
                 flight.guard.mode = None  # the autopilot disarms by itself
             return self.committed and not watch.armed
@@ -177,7 +185,7 @@ class Lander:
         """Distance along the camera axis to level ground, as barometer or terrain data have it."""
         above_m: float = entry.height_m - self._flight.options.ground
         if self._flight.options.terrain:
-            terrain_m = self._flight.watch.terrain_m()
+            terrain_m = self._flight.watch.terrain_m(entry.height_m)
             if terrain_m is None:
                 raise Aborted("no terrain data")
             above_m = terrain_m

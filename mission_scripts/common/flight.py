@@ -30,12 +30,13 @@ _ONTO_S = 15.0
 _CIRCLE_LIMITS = 3.0  # chosen: circles of up to 240 m are no leaving of the track at the limit's default
 _TAKE_OFF_S = 120.0
 _ROLLING_MPS = 5.0  # chosen: airspeed from which a take-off is under way
+_STANDING_M = 3.0  # chosen: what a barometer is off after the pre-arm checks, and a hand that carries the aircraft
 _TURN_M = 70.0  # derived: width of a turn about at 18 m/s and 45 degrees of bank, 2 v^2 / g
 _ABOVE_FLOOR = 1.1  # chosen: least height of a take-off over the floor, so that the circle there keeps off it
 # message ids (MAVLink common.xml)
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
-# ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD, SYS_STATUS, MISSION_CURRENT, HOME_POSITION
-_STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5, 242: 1.0}
+# ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD, TERRAIN_REPORT, SYS_STATUS, MISSION_CURRENT, HOME_POSITION, EXTENDED_SYS_STATE
+_STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 136: 0.2, 1: 1.0, 42: 0.5, 242: 1.0, 245: 0.5}
 _SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)  # factors of the interval that are tried after a denial
 
 
@@ -91,6 +92,8 @@ class Flight:
         What is heard, what can be ordered, who watches.
     engaged : bool
         Whether the vehicle has been commanded, so that an abort must make it safe.
+    armed_here : bool
+        Whether this script armed it, and its take-off is not over.
     """
 
     def __init__(
@@ -98,7 +101,7 @@ class Flight:
     ) -> None:
         self.options, self.airframe = options, airframe
         self.watch, self.vehicle, self.guard = watch, vehicle, guard
-        self.engaged = False
+        self.engaged = self.armed_here = False
         self._log = log
 
     def say(self, sentence: str) -> None:
@@ -177,6 +180,11 @@ class Flight:
             time.sleep(_LOOK_S)
 
     @property
+    def stands(self) -> bool:
+        """Whether it stands where this script armed it: disarming ends that, a mode does not."""
+        return self.armed_here and self.watch.height_m < _STANDING_M and self.watch.airspeed_mps < _ROLLING_MPS
+
+    @property
     def airborne(self) -> bool:
         """Armed, with height and airspeed."""
         return self.watch.armed and self.watch.height_m > 5.0 and self.watch.airspeed_mps > 5.0
@@ -248,11 +256,11 @@ class Flight:
         route.add(TAKEOFF, here, height_m, 10.0)
         route.add(LOITER, here, height_m)
         self.vehicle.upload(route)
-        self.engaged = True
+        self.engaged = self.armed_here = True
         self.vehicle.arm()
         self.wait("armed", lambda: self.watch.armed, _MODE_S)
         self._take_off(max(0.9 * height_m, 0.5 * (floor_m + height_m)))
-        self.guard.floor_m = floor_m
+        self.guard.floor_m, self.armed_here = floor_m, False
 
     def _take_off(self, until_m: float) -> None:
         """Fly the take-off; who interrupts it while it is low gets the abort at its end: RTL there turns at once."""

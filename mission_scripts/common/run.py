@@ -119,7 +119,8 @@ def _fly(flight: Flight, mission: Mission) -> Exit:
 def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
     """Order hold or RTL until the heartbeat shows it.
 
-    Below the floor hold is RTL, for a circle there may meet the ground. Keeps trying while the link is away, and does
+    Below the floor hold is RTL, for a circle there may meet the ground. One that stands where this script armed it is
+    disarmed: RTL would let its motor run as soon as somebody carries it. Keeps trying while the link is away, and does
     nothing to a vehicle that was never commanded or that someone else has taken meanwhile.
     """
     if not flight.engaged:
@@ -129,7 +130,10 @@ def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
     if watch.height_m < guard.limits.floor_m:
         response = Response.RETURN
     wanted, order = (RTL, flight.vehicle.return_home) if response is Response.RETURN else (LOITER, flight.vehicle.hold)
-    flight.say(f"ordering {response.value.upper()}")
+    what, stands = response.value.upper(), flight.stands
+    if stands:
+        order, what = flight.vehicle.disarm, "DISARM"
+    flight.say(f"ordering {what}")
     guard.interrupted.clear()
     ends_s = time.monotonic() + _CONFIRM_S
     while time.monotonic() < ends_s and not guard.interrupted.is_set():
@@ -143,8 +147,9 @@ def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
         tried_s = time.monotonic()
         while time.monotonic() - tried_s < _TRY_S and not guard.interrupted.is_set():
             flight.hear()
-            if watch.mode == wanted and watch.age_s("HEARTBEAT") < 2.0:
-                flight.say(f"the vehicle confirms {response.value.upper()} ({flight.where()})")
+            reached = not watch.armed if stands else watch.mode == wanted
+            if reached and watch.age_s("HEARTBEAT") < 2.0:
+                flight.say(f"the vehicle confirms {what} ({flight.where()})")
                 return code
             time.sleep(0.05)
     flight.say("NOT CONFIRMED: take the vehicle by RC, or rely on its own failsafe")

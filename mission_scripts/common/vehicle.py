@@ -108,6 +108,10 @@ class Vehicle:
         """Arm."""
         self._try("arm", self._action.arm)
 
+    def disarm(self) -> None:
+        """Disarm; an autopilot that thinks that it flies refuses."""
+        self._try("disarm", self._action.disarm)
+
     def hold(self) -> None:
         """Circle here (LOITER on ArduPlane)."""
         self._try("hold", self._action.hold)

@@ -24,6 +24,7 @@ KINDS = (
     "DISTANCE_SENSOR",
     "NAMED_VALUE_FLOAT",
     "TERRAIN_REPORT",
+    "EXTENDED_SYS_STATE",
     "HOME_POSITION",
     "STATUSTEXT",
 )
@@ -32,8 +33,10 @@ _READY = (3, 4)  # MAV_STATE standby and active
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED (MAVLink common.xml)
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK (MAVLink common.xml)
 _UNKNOWN_COVARIANCE = 255  # UINT8_MAX (MAVLink common.xml)
+_RECENT_S, _LANDED_S = 2.0, 3.0
 _MOST_RANGES = 20_000  # bound of memory: half an hour at 10 Hz
 _LONGEST_CARRY_S = 2.0
+_ON_GROUND = 1  # MAV_LANDED_STATE_ON_GROUND (MAVLink common.xml)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,7 @@ class Watch:
         self.named: dict[str, tuple[float, float]] = {}
         self._newest: dict[str, tuple[float, dict[str, Any]]] = {}
         self._companion_beat: tuple[float, int] = (-math.inf, 0)
+        self._reported_at_m = 0.0  # height above home at the last TERRAIN_REPORT
         self._lock = threading.Lock()
 
     def take(self, message: Any) -> None:
@@ -81,6 +85,8 @@ class Watch:
         with self._lock:
             if component == AUTOPILOT:
                 self._newest[name] = (now_s, fields)
+                if name == "TERRAIN_REPORT":
+                    self._reported_at_m = self._height()
                 if name == "MISSION_ITEM_REACHED":
                     self.reached.add(fields["seq"])
                 elif name == "STATUSTEXT":
@@ -103,8 +109,10 @@ class Watch:
         covariance = fields["covariance"]
         sigma = math.sqrt(covariance) * 0.01 if 0 < covariance < _UNKNOWN_COVARIANCE else math.nan
         sigma_at_s, named_sigma_m = self.named.get("rng_sig_m", (-math.inf, math.nan))
-        if now_s - sigma_at_s < 1.0:  # the true one; a covariance of cm^2 in a byte ends at 16 cm
-            sigma = named_sigma_m
+        if math.isnan(sigma) and now_s - sigma_at_s < 1.0:  # a covariance of cm^2 in a byte ends at 16 cm
+            # that value may be of a range that was not trusted; the quality is what this one's sigma leaves of 100
+            by_quality_m = (1.005 - 0.01 * fields["signal_quality"]) * distance
+            sigma = min(named_sigma_m, by_quality_m)
         attitude = self._fields("ATTITUDE")
         tilt = math.acos(math.cos(attitude.get("roll", 0.0)) * math.cos(attitude.get("pitch", 0.0)))
         trusted = least <= distance <= most and fields["signal_quality"] != _NO_RANGE_QUALITY
@@ -162,6 +170,17 @@ class Watch:
         return bool(int(self._fields("HEARTBEAT").get("base_mode", 0)) & _ARMED)
 
     @property
+    def on_ground(self) -> bool:
+        """Whether the autopilot says that it stands; False where it does not tell."""
+        state = int(self._fields("EXTENDED_SYS_STATE").get("landed_state", 0))
+        return state == _ON_GROUND and self.age_s("EXTENDED_SYS_STATE") < _LANDED_S
+
+    @property
+    def out_of_sight(self) -> bool:
+        """Whether nothing recent is known of the vehicle: an order would meet it in another state than it was in."""
+        return max(self.age_s("HEARTBEAT"), self.age_s("GLOBAL_POSITION_INT")) > _RECENT_S
+
+    @property
     def system_status(self) -> int:
         """MAV_STATE of the autopilot."""
         return int(self._fields("HEARTBEAT").get("system_status", 0))
@@ -214,11 +233,14 @@ class Watch:
         """Mission item that is being flown."""
         return int(self._fields("MISSION_CURRENT").get("seq", 0))
 
-    def terrain_m(self) -> float | None:
-        """Height above the autopilot's terrain data, None where there are none."""
+    def terrain_m(self, height_m: float) -> float | None:
+        """Height above the autopilot's terrain data at a height above home; None where there are none.
+
+        The last report is carried there from the height above home at which it came.
+        """
         fields = self._fields("TERRAIN_REPORT")
         fresh = self.age_s("TERRAIN_REPORT") < 2.0 and fields.get("loaded", 0) > 0 and fields.get("pending", 1) == 0
-        return float(fields["current_height"]) if fresh else None
+        return float(fields["current_height"]) + height_m - self._reported_at_m if fresh else None
 
     def newest_range(self) -> Range | None:
         """The last range of any kind."""

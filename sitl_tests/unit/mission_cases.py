@@ -14,6 +14,8 @@ from mission_scripts.common.vehicle import LOITER, RTL
 from mission_scripts.common.watch import Watch
 
 HERE = Place(47.0, 8.0)
+DISARM = -1
+"""Stands for the order to disarm among the modes that are ordered."""
 
 
 def heard(watch: Watch, name: str, component: int = 1, **fields: Any) -> None:
@@ -45,10 +47,15 @@ def engaged(watch: Watch) -> tuple[Any, list[int]]:
         heard(watch, "HEARTBEAT", custom_mode=mode, base_mode=217, system_status=4, type=1, autopilot=3)
 
     said: list[str] = []
-    vehicle = types.SimpleNamespace(hold=lambda: order(LOITER), return_home=lambda: order(RTL))
+    vehicle = types.SimpleNamespace(hold=lambda: order(LOITER), return_home=lambda: order(RTL), disarm=lambda: disarm())
+
+    def disarm() -> None:
+        orders.append(DISARM)
+        heard(watch, "HEARTBEAT", custom_mode=watch.mode, base_mode=89, system_status=3, type=1, autopilot=3)
+
     options = types.SimpleNamespace(on_abort=Response.HOLD)
     flight = types.SimpleNamespace(
-        engaged=True, watch=watch, guard=guard(watch), vehicle=vehicle, options=options, say=said.append, said=said,
-        hear=lambda: None, where=lambda: "here",
+        engaged=True, stands=False, watch=watch, guard=guard(watch), vehicle=vehicle, options=options,
+        say=said.append, said=said, hear=lambda: None, where=lambda: "here",
     )  # fmt: skip
     return flight, orders

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,22 @@ def test_ranges_are_the_companion_s_own_and_of_the_right_orientation() -> None:
     for wrong in ({"signal_quality": 1}, {"current_distance": 20001}, {"current_distance": 300}):
         heard(watch, "DISTANCE_SENSOR", 191, orientation=25, **{**fields, **wrong})
         assert not watch.ranges[-1].trusted
+
+
+@pytest.mark.parametrize(
+    ("covariance", "quality", "named_m", "sigma_m"),
+    [(100, 99, 6.0, 0.1), (255, 98, 1.1, 1.1), (255, 98, 6.0, 1.25), (255, 98, None, math.nan)],
+)
+def test_the_sigma_of_a_range_is_its_own(covariance: int, quality: int, named_m: float | None, sigma_m: float) -> None:
+    """The value for graphs may be of a range that was not trusted; at 50 m a quality of 98 leaves 1 m, rounded."""
+    watch = flying()
+    if named_m is not None:
+        watch.named["rng_sig_m"] = (time.monotonic(), named_m)
+    heard(watch, "DISTANCE_SENSOR", 191, orientation=25, min_distance=400, max_distance=20000, current_distance=5000,
+          covariance=covariance, signal_quality=quality, time_boot_ms=0)  # fmt: skip
+    newest = watch.newest_range()
+    assert newest is not None
+    assert newest.sigma_m == pytest.approx(sigma_m, nan_ok=True)
 
 
 def test_a_range_is_compared_at_its_own_instant() -> None:

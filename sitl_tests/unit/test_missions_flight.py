@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
 import types
 from typing import Any
 
 import pytest
 
 from companion.params.files import load_airframe
-from mission_scripts import calibrate_target, landing_approach, obstacle_pass
+from mission_scripts import calibrate_target, excite_wing, landing_approach, obstacle_pass
 from mission_scripts.common.flight import Flight, Track
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
 from mission_scripts.common.places import Place, Route
+from mission_scripts.common.run import make_safe
+from mission_scripts.common.vehicle import RTL
 from mission_scripts.common.watch import Watch
-from sitl_tests.unit.mission_cases import HERE, engaged, flying, guard, heard
+from sitl_tests.unit.mission_cases import DISARM, HERE, engaged, flying, guard, heard
 
 # ------------------------------------------------------------------------------------------ take-off
 
@@ -222,3 +225,91 @@ def test_a_go_around_ends_at_the_gate_above_the_ground() -> None:
 def test_heights_of_an_approach_are_held_to_the_ceiling_with_the_ground_below_them() -> None:
     with pytest.raises(SystemExit):
         landing_approach.main(["--connect=udpin:127.0.0.1:1", "--ground=80", "--height=80"])
+
+
+@pytest.mark.parametrize(
+    ("height_m", "airspeed_mps", "expected"), [(0.5, 0.0, [DISARM]), (0.5, 12.0, [RTL]), (8.0, 12.0, [RTL])]
+)
+def test_an_aircraft_that_stands_where_it_was_armed_is_disarmed(
+    height_m: float, airspeed_mps: float, expected: list[int]
+) -> None:
+    """In RTL its motor would run as soon as somebody carries it."""
+    watch = flying(height_m=height_m)
+    heard(watch, "VFR_HUD", airspeed=airspeed_mps)
+    flight, orders = engaged(watch)
+    armed_here: Any = types.SimpleNamespace(armed_here=True, watch=watch)
+    flight.stands = Flight.stands.fget(armed_here)  # type: ignore[attr-defined]
+    assert make_safe(flight, Response.HOLD, Exit.INTERRUPTED) is Exit.INTERRUPTED
+    assert orders == expected
+
+
+@pytest.mark.parametrize(("item", "silent", "land", "hands_off"), [
+    (3, True, True, True), (3, False, True, False), (2, True, True, False), (3, True, False, False),
+])  # fmt: skip
+def test_nothing_is_ordered_of_an_aircraft_that_lands_unseen(
+    monkeypatch: pytest.MonkeyPatch, item: int, silent: bool, land: bool, hands_off: bool
+) -> None:
+    """It may stand when the link is back, and RTL would start its motor."""
+    flight, _ = engaged(flying(height_m=40.0))
+    lander = _lander(flight, land=land)
+    heard(flight.watch, "MISSION_CURRENT", seq=item)
+    if silent:
+        monkeypatch.setattr(Watch, "age_s", lambda *_: 4.5)
+    assert lander.lands_unseen is hands_off
+
+
+def test_a_landing_is_over_where_the_autopilot_says_that_it_stands() -> None:
+    """The barometer is 4 m off after the flight."""
+    flight, _ = engaged(flying(height_m=34.0))
+    lander, looked = _lander(flight, land=True), []
+    heard(flight.watch, "MISSION_CURRENT", seq=3)
+
+    def wait(what: str, until: Any, timeout_s: float) -> None:
+        looked.append((until(), lander.committed))
+        heard(flight.watch, "EXTENDED_SYS_STATE", landed_state=1)
+        looked.append((until(), lander.committed))
+
+    flight.wait = wait
+    lander._look = lambda item: None  # type: ignore[method-assign]
+    lander._until_landed({1: "to the initial point"})
+    assert looked == [(False, False), (False, True)], "it still is armed"
+
+
+def test_terrain_is_carried_to_the_height_of_the_range() -> None:
+    """A report at 60 m says 45 m; the range came 3 m lower."""
+    watch = flying(height_m=60.0)
+    heard(watch, "TERRAIN_REPORT", current_height=45.0, loaded=100, pending=0)
+    assert watch.terrain_m(57.0) == pytest.approx(42.0)
+
+
+# ------------------------------------------------------------------------------------------ the wing, watched
+
+
+def _wing(bends_mm: list[float], silent_s: float = 0.0) -> excite_wing.Wing:
+    """A wing that was heard to bend so after a doublet, and not since."""
+    watch = flying()
+    flight: Any = types.SimpleNamespace(watch=watch, options=types.SimpleNamespace(bend_limit=60.0))
+    wing = excite_wing.Wing(flight)
+    for bend_mm in bends_mm:
+        for name, value in (("q_sym_mm", bend_mm), ("q_anti_mm", 0.0)):
+            watch.named[name] = (time.monotonic(), value)
+        wing.check()
+    watch.named = {name: (at_s - silent_s, value) for name, (at_s, value) in watch.named.items()}
+    return wing
+
+
+def test_a_wing_that_is_watched_is_flown_no_faster_on_too_few_bends() -> None:
+    growing = [5.0, 9.0, 13.0, 17.0, 21.0, 25.0, 30.0, 35.0, 40.0]
+    assert _wing([]).decayed(18.0) == "recorded", "without the service nothing is known"
+    assert _wing(growing).wants_more
+    with pytest.raises(Aborted, match="9 bends were heard"):
+        _wing(growing).decayed(18.0)
+    with pytest.raises(Aborted, match="motion grows"):
+        _wing([*growing, 45.0]).decayed(18.0)
+    assert _wing([*growing[::-1], 4.0]).decayed(18.0).startswith("swings")
+
+
+def test_a_service_that_ends_in_flight_ends_the_flight() -> None:
+    _wing([5.0, 6.0], silent_s=1.5).check()
+    with pytest.raises(Aborted, match="nobody watches the wing"):
+        _wing([5.0, 6.0], silent_s=2.5).check()
