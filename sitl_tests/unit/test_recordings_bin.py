@@ -132,7 +132,50 @@ def test_filtered_imus_stand_in_with_the_logs_own_filter(tmp_path: Path) -> None
     (stream,) = recording.streams
     np.testing.assert_allclose(stream.values[0], [1, 2, 3, 0.1, 0.2, 0.3], rtol=1e-6)
     assert recording.airframe.root.lowpass_accel_hz == 35.0
+    assert recording.airframe.root.lowpass_gyro_hz == load_airframe("nadir-2m").root.lowpass_gyro_hz
+    assert any("INS_GYRO_FILTER is not in the log" in notice.text for notice in recording.notices)
     assert recording.airframe.root.rate_hz == pytest.approx(400.0)
+
+
+@pytest.mark.parametrize(("option", "lowpass_hz"), [(0.0, 0.0), (1.0, 0.0), (4.0, 20.0), (8.0, 0.0), (12.0, 0.0)])
+def test_samples_that_were_logged_behind_the_filter_have_its_low_pass(
+    tmp_path: Path, option: float, lowpass_hz: float
+) -> None:
+    log = flight()
+    log.add("PARM", 500, b"INS_RAW_LOG_OPT", option, option)
+    recording = BinRecording(write(tmp_path, log.data), AIRFRAME)
+    assert recording.airframe.root.lowpass_accel_hz == lowpass_hz
+
+
+def test_a_copy_behind_the_filter_is_no_further_imu(tmp_path: Path) -> None:
+    """Two of four numbers are those of the first two IMUs behind the filter."""
+    log = Log("PARM", "ACC", "GYR")
+    log.add("PARM", 500, b"INS_RAW_LOG_OPT", 8.0, 8.0)
+    for i in range(100):
+        for imu in range(4):
+            log.add("ACC", 1007 + 1000 * i, imu, 1000 + 1000 * i, 0.0, 0.0, -9.8 - imu)
+            log.add("GYR", 1007 + 1000 * i, imu, 1000 + 1000 * i, 0.0, 0.0, 0.0)
+    recording = BinRecording(write(tmp_path, log.data), AIRFRAME)
+    assert [stream.station for stream in recording.streams] == [Station.ROOT, Station.LEFT]
+    assert any("no samples of IMU 3" in notice.text for notice in recording.notices)
+
+
+@pytest.mark.parametrize(("last", "used_mps"), [("Pri", 0.3), ("Oth", 18.0)])
+def test_the_airspeed_is_that_of_the_sensor_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, used_mps: float
+) -> None:
+    """Two sensors in one instant, of which the second is the primary one; else the first counts."""
+    monkeypatch.setitem(FORMATS, "ARSP", (112, "QBfB", f"TimeUS,I,Airspeed,{last}", "<QBfB"))
+    log = Log("ACC", "GYR", "ATT", "ARSP")
+    for i in range(10):
+        log.add("ACC", 1007 + 1000 * i, 0, 1000 + 1000 * i, 0.0, 0.0, -9.8)
+        log.add("GYR", 1007 + 1000 * i, 0, 1000 + 1000 * i, 0.0, 0.0, 0.0)
+    log.add("ARSP", 2000, 0, 18.0, 1)
+    log.add("ARSP", 2000, 1, 0.3, 1)
+    log.add("ATT", 50_000, 0.0, 0.0, 0.0)
+    records = BinRecording(write(tmp_path, log.data), AIRFRAME).records()
+    (state,) = [entry for entry in records if isinstance(entry, VehicleState)]
+    assert state.airspeed_mps == pytest.approx(used_mps)
 
 
 def test_every_letter_of_the_format_has_its_type_and_scale(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """ArduPilot .BIN logs as recordings: the raw accelerometers and gyros where they were logged, else the filtered IMU.
 
 Everything is in the autopilot's boot clock. Raw samples (ACC, GYR) have passed no filter of ArduPilot, so the
-airframe's low-pass is taken out for them; IMU messages carry INS_ACCEL_FILTER and INS_GYRO_FILTER of the log's own
-parameters.
+airframe's low-pass is taken out for them, unless INS_RAW_LOG_OPT says that they were logged behind the filter; these
+and IMU messages carry INS_ACCEL_FILTER and INS_GYRO_FILTER of the log's own parameters.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
 from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
+_BEHIND_FILTER, _BOTH = 1 << 2, 1 << 3  # bits of INS_RAW_LOG_OPT (ArduPilot)
+
 
 class BinRecording(OnboardLog):
     """An ArduPilot onboard log; see :class:`OnboardLog` for the shared attributes.
@@ -49,21 +51,25 @@ class BinRecording(OnboardLog):
 
     def imu_samples(self, imu: int) -> tuple[str, list[LoggedAxes]]:
         """The raw samples of an IMU, the filtered ones where there are none; see :class:`OnboardLog`."""
-        raw = _raw_parts(self.log, imu)
-        return (RAW, raw) if raw else (FILTERED, _filtered_parts(self.log, imu))
+        options = int(self._parameters.get("INS_RAW_LOG_OPT", 0.0))
+        raw = [] if options & _BOTH and imu >= _imus_logged_twice(self.log) else _raw_parts(self.log, imu)
+        if not raw:
+            return FILTERED, _filtered_parts(self.log, imu)
+        return (FILTERED if options & _BEHIND_FILTER and not options & _BOTH else RAW), raw
 
     def lowpass_hz(self, sensor: Sensor) -> tuple[float, float]:
         """Corners of the low-passes of accelerometer and gyro in filtered samples."""
         return self._filter("ACCEL", sensor), self._filter("GYRO", sensor)
 
     def _filter(self, kind: str, sensor: Sensor) -> float:
-        """The low-pass as logged; what cannot be is said, and the airframe's taken."""
+        """The low-pass as logged; what was not, or cannot be, is said, and the airframe's taken."""
         name = f"INS_{kind}_FILTER"
-        logged_hz = self._parameters.get(name, 0.0)
-        why = implausible(name, logged_hz)
-        if why is None:
+        logged_hz = self._parameters.get(name)
+        why = f"{name} is not in the log: the airframe's low-pass is taken out" if logged_hz is None else None
+        why = why or implausible(name, logged_hz or 0.0)
+        if logged_hz is not None and why is None:
             return logged_hz
-        self.say(why)
+        self.say(why or "")
         return sensor.lowpass_accel_hz if kind == "ACCEL" else sensor.lowpass_gyro_hz
 
     def _say_what_is_wrong(self) -> None:
@@ -96,14 +102,28 @@ class BinRecording(OnboardLog):
             roll_rad=angles[:, 0],
             pitch_rad=angles[:, 1],
             yaw_rad=angles[:, 2],
-            airspeed_mps=self._latest("ARSP", "Airspeed", t_us),
-            climb_mps=self._latest("BARO", "CRt", t_us),
+            airspeed_mps=self._latest_of_first("ARSP", "Airspeed", t_us),
+            climb_mps=self._latest_of_first("BARO", "CRt", t_us),
             throttle=self._latest("CTUN", "ThO", t_us) / 100.0,
             armed=self._latest("STAT", "Armed", t_us) > 0,
         )
 
+    def _latest_of_first(self, message: str, field: str, t_us: Ints) -> Floats:
+        """As :meth:`_latest` of the sensor that the autopilot uses (Pri), or else of the first one of several."""
+        table = self.log.take(message, "TimeUS", "I", field)
+        if not table:
+            return self._latest(message, field, t_us)
+        used = table["I"] == table.get("Pri", 0)
+        return latest({"TimeUS": table["TimeUS"][used], field: table[field][used]}, "TimeUS", field, t_us)
+
     def _latest(self, message: str, field: str, t_us: Ints) -> Floats:
         return latest(self.log.take(message, "TimeUS", field), "TimeUS", field, t_us)
+
+
+def _imus_logged_twice(log: DataflashLog) -> int:
+    """Number of IMUs where each was logged before the filter and, under a number beyond all, behind it."""
+    table = log.take("ACC", "SampleUS", "I") or log.take("GYR", "SampleUS", "I")
+    return len(np.unique(table["I"])) // 2 if table else 0
 
 
 def _raw(log: DataflashLog, name: str, imu: int) -> tuple[Ints, Floats]:
