@@ -128,17 +128,21 @@ def test_the_first_range_is_that_of_the_calibrated_airframe(
     calibrates: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flown: list[str] = []
+    squares: list[Any] = []
 
     def service_config(options: Any) -> Any:
-        flown.append(options.airframe)
+        flown.extend([options.airframe, *options.changes])
         raise ConfigError("far enough")
 
-    monkeypatch.setattr(setup_wing.calibrate, "execute", lambda _: 0)
+    monkeypatch.setattr(setup_wing.calibrate, "execute", lambda options: squares.append(tuple(options.squares)))
     monkeypatch.setattr(setup_wing.run, "service_config", service_config)
     steps = ("--step", "range", *(("--step", "stereo") if calibrates else ()))
-    eyes = ("--cameras", "oak:CAM_B,CAM_C", "--square-m", "0.03", "--out", str(tmp_path))
+    eyes = ("--cameras", "oak:CAM_B,CAM_C", "--square-m", "0.03", "--squares", "7", "5", "--out", str(tmp_path))
+    steps += ("--set", "RNG_MAX=60", "--set", "SW_SYSID=7")
     assert main(["setup", "wing", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", *steps, *eyes]) == 1
-    assert flown == [str(tmp_path / "stereo" / "airframe.toml") if calibrates else "nadir-2m"]
+    airframe = str(tmp_path / "stereo" / "airframe.toml") if calibrates else "nadir-2m"
+    assert flown == [airframe, "RNG_MAX=60", "SW_SYSID=7"]
+    assert squares == ([(7, 5)] if calibrates else [])
 
 
 def until(true: Callable[[], bool], limit_s: float) -> None:

@@ -142,6 +142,7 @@ def test_questions_are_found_in_garbage_in_both_versions_and_damaged_ones_counte
     node.listen(1.2)
     assert node.kinds()["TIMESYNC"] == 2
     assert node.counters()["line_bad"] == 1
+    assert {message.type for message, _ in node.heard if message.get_type() == "HEARTBEAT"} == {mavlink.MAV_TYPE_IMU}
 
 
 def lost_before_news(node: Node, name: str) -> list[tuple[int, int]]:

@@ -48,7 +48,7 @@ static size_t framed(uint8_t *out, const uint8_t head[3], uint32_t message, uint
 
 size_t frame_heartbeat(uint8_t *out, const uint8_t head[3]) {
     uint8_t *at = put(out + 10, 0, 4); /* custom_mode */
-    at = put(at, 38, 1);               /* MAV_TYPE_IMU */
+    at = put(at, 40, 1);               /* MAV_TYPE_IMU */
     at = put(at, 8, 1);                /* MAV_AUTOPILOT_INVALID */
     at = put(at, 0, 1);
     at = put(at, 4, 1); /* MAV_STATE_ACTIVE */

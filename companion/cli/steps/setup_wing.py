@@ -10,7 +10,7 @@ from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import Link, open_link
 from companion.cli import calibrate, run
 from companion.cli.doctor import diagnose
-from companion.cli.steps.numbers import number, seconds
+from companion.cli.steps.numbers import integer, number, seconds
 from companion.cli.steps.options import add_settings, read_settings
 from companion.cli.steps.wing_guide import GuideStep, WingGuide
 from companion.cli.terminal.run_loop import run_service
@@ -44,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cameras", metavar="PAIR", help="as of run, for stereo and range; sim: rehearse stereo")
     parser.add_argument("--trigger", default="none", metavar="LINE", help="as of run, for the first range")
     parser.add_argument("--square-m", type=number(0.0, 10.0, "m"), metavar="M", help="side of the board's squares")
+    parser.add_argument(
+        "--squares", type=integer(3, 100), nargs=2, default=(10, 7), metavar="N", help="of the ChArUco board"
+    )
     parser.add_argument("--for", type=seconds, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
     parser.add_argument(
         "--range-within", type=seconds, default=300.0, metavar="SECONDS", help="longest wait for the first range"
@@ -141,6 +144,7 @@ def _stereo(options: argparse.Namespace) -> list[GuideStep]:
     """The calibration from a board, as ``spanwise calibrate stereo`` does it."""
     _ask("hold the board before both cameras, and follow what is said")
     words = ["stereo", "--cameras", options.cameras, "--square-m", f"{options.square_m:g}"]
+    words += ["--squares", *map(str, options.squares)]
     words += ["--airframe", options.airframe, "--out", str(_calibrated(options).parent)]
     parser = argparse.ArgumentParser(prog="spanwise calibrate")
     calibrate.add_arguments(parser)
@@ -154,6 +158,8 @@ def _first_range(options: argparse.Namespace, airframe: str) -> list[GuideStep]:
     """The service itself with this airframe file, until it publishes a range."""
     words = [word for link in options.connect for word in ("--connect", link)]
     words += ["--airframe", airframe, "--cameras", options.cameras, "--trigger", options.trigger]
+    words += [] if options.settings is None else ["--settings", str(options.settings)]
+    words += [word for change in options.changes for word in ("--set", change)]
     parser = argparse.ArgumentParser(prog="spanwise run")
     run.add_arguments(parser)
     config = run.service_config(parser.parse_args([*words, "--plain"]))
