@@ -16,11 +16,37 @@ from sitl_tests.unit.tracking_samples import plain_airframe
 GRAVITY = 9.80665
 STEP_S = 0.004
 BEND_PER_G_M = 0.0149
-COUNT = 2**17
+COUNT = 2**19
 
 
-@pytest.mark.parametrize(("families", "tip"), [((0,), 0), ((1,), 0), ((0, 1), 0), ((0, 1), 1)])
-def test_the_floor_is_what_noise_makes_of_the_channel(families: tuple[int, ...], tip: int) -> None:
+FAMILIES = pytest.mark.parametrize(("families", "tip"), [((0,), 0), ((1,), 0), ((0, 1), 0), ((0, 1), 1)])
+LEVERS = pytest.mark.parametrize("levers_m", [(-1.0, 1.0), (-1.2, 0.8), (-0.7, 1.3)])
+
+
+@FAMILIES
+@LEVERS
+def test_a_roll_of_the_aircraft_is_no_motion_of_the_wing(
+    families: tuple[int, ...], tip: int, levers_m: tuple[float, float]
+) -> None:
+    """Also where the root sits beside the centre line, so that the tips' mean feels it."""
+    airframe = plain_airframe()
+    layout = make_layout(airframe)
+    noise = make_noise(airframe, layout, STEP_S)
+    gust, omega = airframe.wing.gust, 2.0 * np.pi * 0.8
+    believed = (prior_parameters(layout.symmetric, gust), prior_parameters(layout.antisymmetric, gust))
+    t_s = STEP_S * np.arange(5000)
+    rows = np.zeros((len(t_s), COLUMNS))
+    rows[:, ROLL] = 0.4 * np.sin(omega * t_s)
+    rows[:, :2] = np.outer(0.4 * omega * np.cos(omega * t_s), levers_m)
+    samples, _ = Channels(layout, noise, levers_m, STEP_S).channel(rows, families, tip, believed, 0.0, 0.0)
+    assert np.std(samples[20:-20]) < 0.003 * np.std(rows[:, :2])
+
+
+@FAMILIES
+@LEVERS
+def test_the_floor_is_what_noise_makes_of_the_channel(
+    families: tuple[int, ...], tip: int, levers_m: tuple[float, float]
+) -> None:
     """Also the root's, which is in the readings and, times the bend per g, in the bend that is taken out of them."""
     airframe = plain_airframe()
     layout = make_layout(airframe)
@@ -33,7 +59,7 @@ def test_the_floor_is_what_noise_makes_of_the_channel(families: tuple[int, ...],
     rows[:, :2] = np.sqrt(noise.sensor_variance[Z_LEFT]) * rng.standard_normal((COUNT, 2)) - root_noise[:, None]
     rows[:, ROLL] = np.sqrt(noise.sensor_variance[P_ROOT]) * rng.standard_normal(COUNT)
     rows[:, STATIC] = BEND_PER_G_M * -root_noise / GRAVITY
-    samples, noise_spectrum = Channels(layout, noise, (-1.0, 1.0), STEP_S).channel(
+    samples, noise_spectrum = Channels(layout, noise, levers_m, STEP_S).channel(
         rows, families, tip, believed, 0.0, BEND_PER_G_M
     )
     f_hz, density = welch(samples, 1.0 / STEP_S, nperseg=8192)

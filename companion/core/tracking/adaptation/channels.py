@@ -21,10 +21,10 @@ class Channels:
 
     def __init__(self, layout: StateLayout, noise: SensorNoise, levers_m: tuple[float, float], step_s: float) -> None:
         self._layout, self._noise, self._step_s = layout, noise, step_s
-        self._lever_m = 0.5 * (levers_m[1] - levers_m[0])
+        self._levers_m = levers_m
         self._tips = noise.sensor_variance[[Z_LEFT, Z_RIGHT]] * 2.0 * step_s
         self._root = noise.root_z_variance * 2.0 * step_s
-        self._roll = noise.sensor_variance[P_ROOT] * 2.0 * step_s * self._lever_m**2
+        self._roll = noise.sensor_variance[P_ROOT] * 2.0 * step_s
 
     def channel(
         self,
@@ -68,19 +68,21 @@ class Channels:
             signs, samples = ((2.0, 0.0), (0.0, 2.0))[tip], rows[:, tip]
             white = float(self._tips[tip])
         aliasing_density *= 0.5 if len(families) == 1 else 1.0  # half the sum of two independent ones
-        root, roll = (self._root if 0 in families else 0.0), (self._roll if 1 in families else 0.0)
+        # a root off the centre line leaves a part of the roll in the mean of both tips
+        lever_m = 0.5 * float(np.dot(signs, self._levers_m))
+        root, roll = (self._root if 0 in families else 0.0), self._roll * lever_m**2
         if 0 in families:
             samples = samples - _static_bend_reading(rows[:, STATIC], bend, self._step_s)
-        if 1 in families:
-            samples = samples - np.sign(signs[1] - signs[0]) * self._roll_lift(rows[:, ROLL])
+        if lever_m != 0.0:
+            samples = samples - lever_m * self._roll_acceleration(rows[:, ROLL])
         drift_density = self._drift_density(signs)
         return samples, NoiseSpectrum(white, root, bend, roll, aliasing_density, drift_density, self._step_s)
 
-    def _roll_lift(self, roll_radps: Floats) -> Floats:
-        """Acceleration of the right tip by the rigid roll (n,), m/s^2; 0 at the ends, where it is not known."""
-        lift: Floats = self._lever_m * np.convolve(roll_radps, DERIVATIVE / self._step_s, mode="same")
-        lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
-        return lift
+    def _roll_acceleration(self, roll_radps: Floats) -> Floats:
+        """Derivative of the roll rate (n,), rad/s^2; 0 at the ends, where it is not known."""
+        rises: Floats = np.convolve(roll_radps, DERIVATIVE / self._step_s, mode="same")
+        rises[:EDGE], rises[-EDGE:] = 0.0, 0.0
+        return rises
 
     def slope_rates(self, rows: Floats, families: tuple[int, ...]) -> SlopeRates | None:
         """Slow rates of a family's slope, without the static bend's; ``rows`` (n, 6). None without all three gyros."""
