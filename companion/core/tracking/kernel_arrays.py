@@ -46,11 +46,13 @@ def _linearisation_rows(layout: StateLayout, model: DiscreteWingModel) -> Floats
 
     Slopes, slope rates, roll rate and roll acceleration in the middle of a step; for each rank of modes lifts,
     extrapolated to there by the rates as it begins, these rates, and expected lift accelerations; then the change of
-    each tip's slope and slope rate with its slope factors.
+    each tip's slope and slope rate with its slope factors. A roll rate that no station sends is 0 there: the filter
+    would learn it from the small forces that are products with it, and be sure of a wrong one.
     """
     ahead, now = model.transition, np.eye(layout.size, layout.size + 1)
     middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
-    rows = [model.slope @ middle, model.slope @ rate, middle[layout.roll_rate : layout.roll_accel + 1]]
+    roll = middle[layout.roll_rate : layout.roll_accel + 1] * [[float(layout.senses_roll)], [1.0]]
+    rows = [model.slope @ middle, model.slope @ rate, roll]
     for lift, lift_rate in (lift_rows(layout, rank) for rank in range(layout.ranks)):
         rising = lift_rate @ now
         rows += [lift @ now + 0.5 * model.step_s * rising, rising, lift_rate @ rate]

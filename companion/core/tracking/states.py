@@ -105,6 +105,8 @@ class StateLayout:
         Foreshortening of the bent wing over that of a uniform cantilever.
     tip_y_m : (float, float)
         Body y of the left and right tip station.
+    senses_roll : bool
+        Whether any station sends the roll rate.
     """
 
     symmetric: ModeFamily
@@ -117,6 +119,7 @@ class StateLayout:
     bias_parameter_sigma: Floats
     foreshortening: float
     tip_y_m: tuple[float, float]
+    senses_roll: bool
 
     def column(self, name: str) -> int | None:
         """Column of a bias parameter in ``[x | V]``; None where its prior has no width."""
@@ -191,6 +194,7 @@ def make_layout(airframe: Airframe) -> StateLayout:
         bias_parameter_sigma=np.array([sigma for _, sigma in named]),
         foreshortening=wing.shortening.value,
         tip_y_m=(airframe.left.position_m[1], airframe.right.position_m[1]),
+        senses_roll=any("p" in sensor.sends for sensor in (airframe.root, airframe.left, airframe.right)),
     )
     foreshortening_sigma = dict(named).get("shortening", 0.0)
     if foreshortening_sigma == 0.0 or layout.ranks == 1:
