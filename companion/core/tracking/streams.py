@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import plain
+from companion.core.tracking.axis_presence import AxisPresence
 from companion.core.tracking.clipping import Clipping
 from companion.core.tracking.line_removal import (
     LOCKED_RATIO,
@@ -94,6 +95,8 @@ class SampleBuffer:
     ----------
     place : str
         Of the sensor, for the operator.
+    presence : AxisPresence
+        Axes that it sends now.
     newest_ns : int or None
         Stamp of the newest accepted sample.
     saturated_ns : int or None
@@ -112,7 +115,7 @@ class SampleBuffer:
     place: str = ""
     t_ns: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     values: Floats = field(default_factory=lambda: np.empty((0, CHANNELS)))
-    axes: Axis = Axis.NONE
+    presence: AxisPresence = field(default_factory=AxisPresence)
     newest_ns: int | None = None
     saturated_ns: int | None = None
     clipping: Clipping = field(init=False)
@@ -151,8 +154,10 @@ class SampleBuffer:
         earlier batches that have been recognised since.
         """
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
-        if batch.axes is not self.axes:
-            self.axes |= batch.axes
+        if len(t):
+            values = self.presence.completed(t, values, batch.axes)
+        if values is not batch.values:
+            batch = dataclasses.replace(batch, values=values)
         if len(t) and self._hangs(t, values, batch.axes):
             return [*reports, Rejected(Reject.STALE, _name(batch), batch.received_host_ns, len(t))]
         if len(t) and not self.clipping.concerns(values) and _valid(t, values, self.sensor, oldest_ns):
@@ -213,9 +218,15 @@ class SampleBuffer:
         )
 
     @property
+    def axes(self) -> Axis:
+        """Axes that it sends now."""
+        return self.presence.axes
+
+    @property
     def complaints(self) -> list[str]:
         """Sentences for the operator on what is wrong with the stream."""
-        return [*self.standstill.sentences(self.place), *self.clipping.found_range.sentences(self.place)]
+        wrong = (self.standstill, self.presence, self.clipping.found_range)
+        return [sentence for each in wrong for sentence in each.sentences(self.place)]
 
     def is_silent(self, since_ns: int) -> bool:
         """Whether nothing has come since an instant, not even samples at the sensor's limits."""

@@ -71,8 +71,7 @@ class WingTracker:
         self._start_ns: int | None = None
         self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
-        self._row_noise = RowNoise(self._noise)
-        self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
+        self._row_noise, self._rows = RowNoise(self._noise), tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity, self.contradiction = Validity.SETTLING, Contradiction()
         self._restart()
 
@@ -310,9 +309,10 @@ class WingTracker:
         return bias_parameter_estimates(self._kalman)
 
     def _alive(self, station: Station) -> bool:
-        """Whether a station has sent lately."""
-        newest = self._streams[station].newest_ns
-        return newest is not None and self._next_ns - newest <= self._settings.stale_s * 1e9
+        """Whether a station has sent lately; the root every axis, for nothing else tells load and body rates."""
+        newest_ns, missing = self._streams[station].newest_ns, self._streams[station].presence.missing
+        recent = newest_ns is not None and self._next_ns - newest_ns <= self._settings.stale_s * 1e9
+        return recent and not (station is Station.ROOT and missing)
 
     @property
     def _live_streams(self) -> list[SampleBuffer]:
