@@ -82,9 +82,13 @@ _NOTHING = (0.0, "", 0.0, 1.0)
 def _sentence(name: str, deviation: float, sigma: float) -> str:
     """Sentence for the operator."""
     place, _, error = name.rpartition(".")
-    words, factor, unit = _TERMS.get(error, (f"frequency of {error.replace('_', ' ')}", 1.0, "Hz"))
-    if place == "slope":
-        words, unit, place = f"slope factor of {error.replace('_', ' ')}", "rad/m", ""
-    named = f"{place} {words}".strip()
+    mode, factor = name.removeprefix("slope.").replace("_", " ").replace(".", " "), 1.0
+    if name.startswith("slope."):
+        named, unit = f"slope factor of {mode}", "rad/m"
+    elif error in _TERMS:
+        words, factor, unit = _TERMS[error]
+        named = f"{place} {words}".strip()
+    else:
+        named, unit = f"frequency of {mode}", "Hz"
     off, stated = f"{factor * deviation:+.2g} {unit}", f"{factor * sigma:.2g} {unit}"
     return f"{named} is {off} off the airframe's file, which states {stated}"

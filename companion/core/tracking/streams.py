@@ -37,6 +37,7 @@ _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1
 _append = kernel("stream_append", ARRAY, ARRAY, INTEGER, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 _all_valid = kernel("stream_all_valid", ARRAY, ARRAY, REAL, REAL, INTEGER)
 _WAITED_NS = 2_000_000_000  # chosen: kept while another station is waited for, longer than any lag
+_RETAINED_NS, _RETAINED_PERIODS = 50_000_000, 5  # chosen: as interpolation and resampling need at either end
 _EVER_NS = -(2**63)  # before every stamp (convention)
 
 
@@ -254,8 +255,8 @@ class SampleBuffer:
             self._needed_ns = self.newest_ns - _WAITED_NS
 
     def forget(self, before_ns: int) -> None:
-        """Drop samples before an instant, as soon as more come."""
-        self._needed_ns = before_ns
+        """Drop samples well before an instant, as soon as more come."""
+        self._needed_ns = before_ns - max(_RETAINED_NS, _RETAINED_PERIODS * self._period_ns)
 
     def _merge_waiting(self) -> None:
         """Sort the queued samples into the stream and remove outliers."""

@@ -215,7 +215,7 @@ class WingTracker:
                 if idle and self._step_s * sum(each.length for each in self._trial_epochs) > _TRIAL_S:
                     self._mark()  # there was no fit, for want of samples or for a blow, and the epochs must not pile up
         for stream in self._streams:
-            stream.forget(self._next_ns - BEFORE * self._step_ns - 50_000_000)
+            stream.forget(self._next_ns - BEFORE * self._step_ns)
 
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""

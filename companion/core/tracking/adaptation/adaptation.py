@@ -122,6 +122,15 @@ class Adaptation:
         """Bias parameters (c,) and bend per g, m, as estimated; they correct the whole stored history."""
         self._bias_parameters, self._bend_per_g_m = bias_parameters.copy(), bend_per_g_m
 
+    def _learn_aliasing(self, epochs: Epochs) -> None:
+        """Follow the aliasing noise of the tips; an epoch that a tip did not cover has none of its own."""
+        present, noise = epochs.present[:, :2], epochs.aliasing_noise
+        if not present.all():
+            noise = noise[present]
+        if noise.size:
+            gain = min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S)
+            self._aliasing_noise += gain * (_mean(noise) - self._aliasing_noise)
+
     def add_epochs(
         self, epochs: Epochs, contradicted: bool = False, hold: bool = False, clipped: bool = False
     ) -> FitProgress:
@@ -138,9 +147,7 @@ class Adaptation:
         self._rows[slots, ROLL], self._rows[slots, STATIC] = epochs.rows[:, P_ROOT], epochs.load_g
         self._rows[slots, SLOPE_RATES] = epoch_slope_rates(epochs)
         self._present[slots, :2], self._present[slots, 2] = epochs.present[:, :2], epochs.root_covered
-        self._aliasing_noise += min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S) * (
-            _mean(epochs.aliasing_noise) - self._aliasing_noise
-        )
+        self._learn_aliasing(epochs)
         self.refilter = self.early
         self._count += epochs.length
         stages = self._begun(contradicted, hold, clipped) if self._count >= self._next else None
