@@ -248,9 +248,9 @@ def test_stamps_in_unix_milliseconds_are_refused(tmp_path: Path) -> None:
         read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
 
 
-@pytest.mark.parametrize(("unit_s", "said"), [(1e-3, "every 5 s"), (1e-6, "every 5000 s"), (1e3, "every 5e-06 s")])
+@pytest.mark.parametrize(("unit_s", "said"), [(1e-3, "every 5 s"), (1e-6, "every 5000 s")])
 def test_stamps_in_another_unit_are_refused(tmp_path: Path, unit_s: float, said: str) -> None:
-    """Samples at 200 Hz whose stamps begin at 0, in ms, us or ks."""
+    """Samples at 200 Hz whose stamps begin at 0, in ms or us."""
     rows = "".join(f"{0.005 * k / unit_s:.9g},-9.8\n" for k in range(600))
     with pytest.raises(RecordingError, match=rf"accel\.csv: samples come {said}.* is t_s in seconds"):
         read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
