@@ -256,15 +256,6 @@ def test_stamps_in_another_unit_are_refused(tmp_path: Path, unit_s: float, said:
         read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
 
 
-def test_stamps_before_zero_are_replayed_from_zero(tmp_path: Path) -> None:
-    """A laboratory counts from a trigger event; the table itself keeps its stamps."""
-    rows = "".join(f"{-100.0 + 0.005 * k:.3f},{-9.8 + 0.01 * (k % 7):.2f}\n" for k in range(600))
-    recording = read(tmp_path, accel="t_s,left_z_mps2\n" + rows)
-    assert stream(recording, Station.LEFT).t_ns[0] == -100_000_000_000
-    t_ns = np.concatenate([batch.t_ns for batch in recording.records()])
-    assert (t_ns[0], t_ns[-1]) == (0, 2_995_000_000)
-
-
 def test_a_vertical_axis_that_points_up_is_refused_with_what_it_should_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"'left_z' reads \+1\.00 g .*turn its sign"):
         level(tmp_path, "t_s,left_z_mps2", 9.80665)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,8 @@ class CsvRecording(LoggedRecording):
             self.notes.gaps(f"{path.name}: {stream.station.name.lower()}", stream.t_ns)
 
     def records(self) -> Iterator[ImuBatch]:
-        """The samples in batches of 20 ms, in order of time, which counts from 0 where stamps are negative."""
-        yield from merge(*map(timed, from_zero(self.streams)))
+        """The samples in batches of 20 ms, in order of time."""
+        yield from merge(*map(timed, self.streams))
 
     def _accel(self, file: Path) -> Iterator[InertialStream]:
         table = read_table(file)
@@ -217,12 +217,6 @@ def increasing(stream: InertialStream) -> InertialStream:
     """The samples by their stamps, of equal ones the first: axes in two files can be joined by nothing else."""
     t_ns, rows = np.unique(stream.t_ns, return_index=True)
     return dataclasses.replace(stream, t_ns=t_ns, values=stream.values[rows])
-
-
-def from_zero(streams: Sequence[InertialStream]) -> list[InertialStream]:
-    """The streams later by as much as their first sample is before 0, where a pipeline's time begins."""
-    first_ns = min((int(stream.t_ns.min()) for stream in streams if stream.t_ns.size), default=0)
-    return [dataclasses.replace(stream, t_ns=stream.t_ns - min(first_ns, 0)) for stream in streams]
 
 
 def gravity(path: Path, stream: InertialStream) -> Iterator[str]:

@@ -15,7 +15,6 @@ from companion.adapters.recordings.tables.csv import (
     RangeTable,
     airframe_as_recorded,
     by_station,
-    from_zero,
     gravity,
     nanoseconds,
     stream_of,
@@ -58,8 +57,8 @@ class MappedRecording(LoggedRecording):
             self.notes.gaps(path.name, stream.t_ns)
 
     def records(self) -> Iterator[ImuBatch]:
-        """The samples in batches of 20 ms, in order of time, which counts from 0 where stamps are negative."""
-        yield from merge(*map(timed, from_zero(self.streams)))
+        """The samples in batches of 20 ms, in order of time."""
+        yield from merge(*map(timed, self.streams))
 
     def _streams(self, table: MappedTable, mapping: TableMapping) -> Iterator[InertialStream]:
         stations, others = by_station(Path(mapping.origin), "", table.channels)
