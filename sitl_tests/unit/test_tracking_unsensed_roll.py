@@ -31,7 +31,8 @@ def test_the_variance_of_a_rate_that_nobody_measures_is_bounded(name: str) -> No
     transition, process = propagation(layout, noise, believed, STEP_S)
     rigid = slice(layout.roll_rate, layout.roll_accel + 1)
     stationary = solve_discrete_lyapunov(transition[rigid, rigid], process[rigid, rigid])
-    assert 3.0 < np.sqrt(stationary[0, 0]) < 30.0, "as wide as any aircraft rolls, and no wider"
+    assert np.abs(np.linalg.eigvals(transition[rigid, rigid])).max() < 1.0
+    assert 3.0 < np.sqrt(stationary[0, 0]) < 100.0, "wider than any aircraft rolls, and yet a number"
 
 
 @pytest.mark.parametrize(("name", "senses"), [("paper-flying-wing", False), ("nadir-2m", True)])

@@ -48,7 +48,7 @@ WingParameters = tuple[ModeParameters, ModeParameters]
 _ROLL_JERK_DENSITY_RAD2PS5 = 2.0 * (2.0 * np.pi * 5.0) * 3.0**2
 _ROLL_ACCEL_CORNER_RADPS = 2.0 * np.pi * 0.1  # chosen: no manoeuvre holds a roll acceleration for longer
 _MOMENT_PATH_RATIO = 0.02  # chosen: path inside a step over gyro noise, both variances, from which moments pay
-_ROLL_TIME_S = 1.0  # of the roll mode of an aircraft; some tenths of a second to seconds (choice)
+_ROLL_TIME_S = 10.0  # for which a rate may last that no station sends: no aircraft rolls for longer (choice)
 _ROLL_SIGMA_RADPS = 3.0  # chosen: prior of the roll rate, wider than any aircraft's
 
 
@@ -239,7 +239,7 @@ def propagation(
 def _rigid_propagation(step_s: float, *, senses_roll: bool) -> tuple[Floats, Floats]:
     """Transition and process noise (2, 2) of the rigid roll, which depends on no modal parameter.
 
-    A rate that no station sends dies away, as that of an aircraft does: a free integral would wander without bound.
+    A rate that no station sends dies away: a free integral would wander without bound.
     """
     system = np.array([[0.0 if senses_roll else -1.0 / _ROLL_TIME_S, 1.0], [0.0, -_ROLL_ACCEL_CORNER_RADPS]])
     return van_loan(system, np.diag([0.0, _ROLL_JERK_DENSITY_RAD2PS5]), step_s)
