@@ -9,9 +9,8 @@ import pytest
 from scipy.signal import welch
 
 from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, STATIC, Channels
-from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.states import P_ROOT, Z_LEFT, make_layout, make_noise
-from sitl_tests.unit.tracking_samples import plain_airframe
+from companion.core.tracking.states import P_ROOT, Z_LEFT
+from sitl_tests.unit.tracking_samples import plain_airframe, prior_of
 
 GRAVITY = 9.80665
 STEP_S = 0.004
@@ -29,11 +28,8 @@ def test_a_roll_of_the_aircraft_is_no_motion_of_the_wing(
     families: tuple[int, ...], tip: int, levers_m: tuple[float, float]
 ) -> None:
     """Also where the root sits beside the centre line, so that the tips' mean feels it."""
-    airframe = plain_airframe()
-    layout = make_layout(airframe)
-    noise = make_noise(airframe, layout, STEP_S)
-    gust, omega = airframe.wing.gust, 2.0 * np.pi * 0.8
-    believed = (prior_parameters(layout.symmetric, gust), prior_parameters(layout.antisymmetric, gust))
+    layout, noise, believed = prior_of(plain_airframe(), STEP_S)
+    omega = 2.0 * np.pi * 0.8
     t_s = STEP_S * np.arange(5000)
     rows = np.zeros((len(t_s), COLUMNS))
     rows[:, ROLL] = 0.4 * np.sin(omega * t_s)
@@ -48,11 +44,8 @@ def test_the_floor_is_what_noise_makes_of_the_channel(
     families: tuple[int, ...], tip: int, levers_m: tuple[float, float]
 ) -> None:
     """Also the root's, which is in the readings and, times the bend per g, in the bend that is taken out of them."""
-    airframe = plain_airframe()
-    layout = make_layout(airframe)
-    noise = dataclasses.replace(make_noise(airframe, layout, STEP_S), bias_prior_covariance=np.zeros((9, 9)))
-    gust = airframe.wing.gust
-    believed = (prior_parameters(layout.symmetric, gust), prior_parameters(layout.antisymmetric, gust))
+    layout, prior_noise, believed = prior_of(plain_airframe(), STEP_S)
+    noise = dataclasses.replace(prior_noise, bias_prior_covariance=np.zeros((9, 9)))
     rng = np.random.default_rng(8)
     root_noise = np.sqrt(noise.root_z_variance) * rng.standard_normal(COUNT)
     rows = np.zeros((COUNT, COLUMNS))

@@ -8,25 +8,16 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from companion.core.tracking.kernel_arrays import _linearisation_rows
 from companion.core.tracking.model import build_model, propagation
-from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.states import SensorNoise, StateLayout, make_layout, make_noise
-from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from sitl_tests.unit.tracking_samples import prior_of
 
 STEP_S = 0.004
 ROLL_ROW = 4  # behind both tips' slopes and slope rates
 
 
-def _parts(airframe: Airframe) -> tuple[StateLayout, SensorNoise, tuple]:
-    layout = make_layout(airframe)
-    gust = airframe.wing.gust
-    believed = prior_parameters(layout.symmetric, gust), prior_parameters(layout.antisymmetric, gust)
-    return layout, make_noise(airframe, layout, STEP_S), believed
-
-
 @pytest.mark.parametrize("name", ["paper-flying-wing", "sitl-plane"])
 def test_the_variance_of_a_rate_that_nobody_measures_is_bounded(name: str) -> None:
-    layout, noise, believed = _parts(load_airframe(name))
+    layout, noise, believed = prior_of(load_airframe(name), STEP_S)
     assert not layout.senses_roll
     transition, process = propagation(layout, noise, believed, STEP_S)
     rigid = slice(layout.roll_rate, layout.roll_accel + 1)
@@ -37,7 +28,7 @@ def test_the_variance_of_a_rate_that_nobody_measures_is_bounded(name: str) -> No
 
 @pytest.mark.parametrize(("name", "senses"), [("paper-flying-wing", False), ("nadir-2m", True)])
 def test_products_with_an_unsensed_rate_teach_no_rate(name: str, senses: bool) -> None:
-    layout, noise, believed = _parts(load_airframe(name))
+    layout, noise, believed = prior_of(load_airframe(name), STEP_S)
     rows = _linearisation_rows(layout, build_model(layout, noise, believed, (-1.0, 1.0), STEP_S))
     assert bool(rows[ROLL_ROW].any()) is senses
     assert rows[ROLL_ROW + 1].any()

@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from companion.core.tracking.parameters import ModeParameters, prior_parameters
+from companion.core.tracking.states import SensorNoise, StateLayout, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Station
@@ -20,6 +22,16 @@ def plain_airframe() -> Airframe:
     airframe = load_airframe("nadir-2m")
     root = dataclasses.replace(airframe.root, rate_hz=1000.0, lowpass_accel_hz=0.0, lowpass_gyro_hz=0.0)
     return dataclasses.replace(airframe, root=root)
+
+
+def prior_of(
+    airframe: Airframe, step_s: float
+) -> tuple[StateLayout, SensorNoise, tuple[ModeParameters, ModeParameters]]:
+    """The states, the noise per step and both families' prior parameters that the filter starts with."""
+    layout = make_layout(airframe)
+    gust = airframe.wing.gust
+    believed = (prior_parameters(layout.symmetric, gust), prior_parameters(layout.antisymmetric, gust))
+    return layout, make_noise(airframe, layout, step_s), believed
 
 
 def swinging(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Station, np.ndarray]]:
