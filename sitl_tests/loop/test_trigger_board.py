@@ -20,7 +20,7 @@ import pytest
 
 from companion.adapters.triggers import serial_board
 from companion.adapters.triggers.gpio import GpioTrigger
-from companion.adapters.triggers.serial_board import LEAD_NS, BoardClock, SerialBoardTrigger, opened, sealed
+from companion.adapters.triggers.serial_board import BAUD, BoardClock, SerialBoardTrigger, lead_ns, opened, sealed
 from companion.errors import DeviceError
 from companion.records import Firing, TriggerPlan
 from tools.bench.board import Board, build
@@ -61,7 +61,7 @@ def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
             refused, unheard = refused + late, unheard + (not late)
             continue
         assert shot.plan_id == k
-        planned.append(plan.command_host_ns + LEAD_NS)
+        planned.append(plan.command_host_ns + lead_ns(BAUD))
         fired_ns.append(shot.fired_host_ns)
         time.sleep(0.01)
     trigger.close()
@@ -249,13 +249,50 @@ def test_after_a_failure_the_boards_clock_is_read_anew_and_the_next_shot_comes(b
     trigger.close()
 
 
+class Recorded(SerialBoardTrigger):
+    """A trigger that notes the length of its questions for the time, and of the board's answers."""
+
+    def __init__(self, port: str) -> None:
+        self.asked: list[int] = []
+        self.answered: list[int] = []
+        super().__init__(port)
+
+    def _send(self, text: str) -> None:
+        if text.startswith("T"):
+            self.asked.append(len(sealed(text)))
+        super()._send(text)
+
+    def _line(self) -> list[str]:
+        words = super()._line()
+        if words[:1] == ["t"]:
+            self.answered.append(len(sealed(" ".join(words))))
+        return words
+
+
+@needs_compiler
+def test_a_question_for_the_time_is_as_long_as_its_answer(bench: Board) -> None:
+    """On a slow line a short question arrives sooner than a long answer: half the difference would be an offset."""
+    trigger = Recorded(bench.port)
+    trigger.close()
+    assert len(trigger.asked) == len(trigger.answered) > 10
+    assert np.abs(np.array(trigger.asked) - trigger.answered)[1:].max() <= 3  # digits more than in the last answer
+    assert trigger.asked[-1] == trigger.answered[-1]
+
+
+@pytest.mark.parametrize("baud", [57600, 115200])
+def test_a_plan_s_line_arrives_within_the_lead_on_a_slow_line(baud: int) -> None:
+    """A plan a month after both clocks began, eight data bits between a start and a stop bit."""
+    line = sealed(f"F {(1 << 32) - 1} {31 * 86_400_000_000} 1000")
+    assert lead_ns(baud) - 10 * len(line) * 1_000_000_000 // baud >= lead_ns(10**9) - 1000
+
+
 @needs_compiler
 def test_after_minutes_without_a_shot_the_board_is_asked_first(bench: Board) -> None:
     trigger = SerialBoardTrigger(bench.port)
     trigger.clock = _moved(trigger.clock, -12_000_000, 600_000_000_000)
     plan = _plan(1, time.monotonic_ns())
     shot = trigger.fire(plan)
-    assert abs(shot.fired_host_ns - plan.command_host_ns - LEAD_NS) < 5_000_000
+    assert abs(shot.fired_host_ns - plan.command_host_ns - lead_ns(BAUD)) < 5_000_000
     trigger.close()
 
 

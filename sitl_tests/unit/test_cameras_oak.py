@@ -88,6 +88,19 @@ def test_replay_nodes_give_pairs_on_the_host_s_clock(videos: tuple[Path, Path]) 
     assert np.median(spacing_ms) == pytest.approx(40.0, abs=25.0)
 
 
+@pytest.mark.slow
+def test_images_of_a_replay_that_has_ended_are_not_lost(videos: tuple[Path, Path]) -> None:
+    """A machine that stops for longer than the videos last still gets every pair, and then is told the end."""
+    pair = OakReplayPair(*videos, OakTiming(rate_hz=100.0))
+    try:
+        time.sleep(1.0)
+        assert len(pair.poll(0.0)) == 16
+        with pytest.raises(DeviceError, match="have ended"):
+            pair.poll(0.5)
+    finally:
+        pair.close()
+
+
 def test_a_replay_of_nothing_is_named(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"none\.avi"):
         OakReplayPair(tmp_path / "none.avi", tmp_path / "none.avi", OakTiming())

@@ -107,3 +107,20 @@ def test_what_is_too_weak_for_a_name_is_fitted_where_it_may_be_like_one(odds: fl
     table = Table({"": 0.0, "a": 20.0, "b": 7.0}, {"": [("a", 6.0, 20.0), ("b", 4.0, odds)]})
     assert search(table) == ["a"]
     assert ("b" in table.refitted) is fitted
+
+
+class WideTable(Table):
+    """Under wide priors ``a`` alone has 15 nat more: its value is far out in its own prior."""
+
+    def fit(self, terms: Sequence[Named], near: Fitted, wider: float = 1.0, quick: bool = False) -> Fitted:
+        fitted = super().fit(terms, near, wider, quick)
+        gained = 15.0 if wider > 1.0 and [term.name for term in terms] == ["a"] else 0.0
+        values = np.array([20.0 if term.name == "a" else 1.2 for term in terms])
+        return dataclasses.replace(fitted, values=values, log_evidence=fitted.log_evidence + gained)
+
+
+@pytest.mark.parametrize(("both", "named"), [(64.0, ["a"]), (66.0, ["a", "b"])])
+def test_a_cause_that_only_spares_another_s_prior_is_left_out(both: float, named: list[str]) -> None:
+    """A focal length 10 % long was named with a baseline error of 1.2 sigma, and its own value was 4.5 sigma off."""
+    table = WideTable({"": 0.0, "a": 50.0, "b": 1.0, "ab": both}, {"": [("a", 10.0, 50.0)], "a": [("b", 9.0, 40.0)]})
+    assert search(table) == named

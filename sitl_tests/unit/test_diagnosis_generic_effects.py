@@ -310,7 +310,7 @@ def test_a_slip_is_not_said_beside_a_spring_that_is_softer_throughout() -> None:
 
 @pytest.mark.long
 def test_a_slip_is_not_said_of_a_spring_that_is_softer_throughout() -> None:
-    without = diagnose([flown(**{"frequency-shift": -0.0727})], [catalogue()["hysteresis"]], 1)
+    without = diagnose([flown(**{"frequency-shift": -0.09})], [catalogue()["hysteresis"]], 1)
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED
     assert "force with deflection " in without.reason
 

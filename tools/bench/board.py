@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.triggers.process import TriggerProcess
-from companion.adapters.triggers.serial_board import LEAD_NS, SerialBoardTrigger
+from companion.adapters.triggers.serial_board import BAUD, SerialBoardTrigger, lead_ns
 from companion.records import Firing, Floats, Rejected, Shot, TriggerPlan
 
 SOURCE = Path(__file__).resolve().parents[1] / "trigger_board"
@@ -111,7 +111,7 @@ def _fired(board: Board, shots: int) -> tuple[list[int], list[int], int]:
             )
             report = _report(process)
             if isinstance(report, Shot):
-                planned.append(command_ns + LEAD_NS)
+                planned.append(command_ns + lead_ns(BAUD))
                 reported_ns.append(report.fired_host_ns)
             else:
                 refused += 1

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import functools
 import os
 import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,11 +62,7 @@ class QueuePair:
         until = time.monotonic() + timeout_s
         while True:
             try:
-                frames = [
-                    frame_of(image, side, self._timing, self._dai)
-                    for side, queue in zip(Side, self._queues, strict=True)
-                    for image in queue.tryGetAll()
-                ]
+                frames = [frame_of(image, side, self._timing, self._dai) for side, image in self._images()]
             except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
                 raise DeviceError(f"DepthAI camera: {error}") from error
             if frames or time.monotonic() >= until:
@@ -75,6 +73,10 @@ class QueuePair:
         """Stop the pipelines, release the devices."""
         for pipeline in self._pipelines.values():
             pipeline.stop()
+
+    def _images(self) -> list[tuple[Side, Any]]:
+        """Images that have arrived, with their sides."""
+        return [(side, image) for side, queue in zip(Side, self._queues, strict=True) for image in queue.tryGetAll()]
 
     def _start(self) -> None:
         for pipeline in self._pipelines.values():
@@ -141,9 +143,8 @@ class OakReplayPair(QueuePair):
     """Two video files through DepthAI's own replay nodes, on a pipeline without a device, at their own pace.
 
     Everything behind the queues is the same as with a device. The two nodes keep no common time; frames of
-    equal number get the left one's stamp.
-
-    The pace is ``timing.rate_hz``.
+    equal number get the left one's stamp. The pace is ``timing.rate_hz``; after the last image :meth:`poll` says that
+    the videos have ended.
 
     Raises
     ------
@@ -157,7 +158,9 @@ class OakReplayPair(QueuePair):
         pipeline = untouched(dai.Pipeline(createImplicitDevice=False), dai)
         self._pipelines["replay"] = pipeline
         self._waiting: dict[int, Frame] = {}
-        for path in (left, right):
+        # with its last image the library closes a queue and what still waits in it is lost: each is taken as it comes
+        self._arrived: deque[tuple[Side, Any]] = deque()
+        for side, path in zip(Side, (left, right), strict=True):
             if not path.is_file():
                 raise DeviceError(f"{path}: no such video")
             node = pipeline.create(dai.node.ReplayVideo)
@@ -165,7 +168,9 @@ class OakReplayPair(QueuePair):
             node.setOutFrameType(dai.ImgFrame.Type.GRAY8)
             node.setFps(timing.rate_hz)
             node.setLoop(False)
-            self._queues.append(node.out.createOutputQueue(maxSize=64, blocking=False))
+            queue = node.out.createOutputQueue(maxSize=1, blocking=False)
+            queue.addCallback(functools.partial(self._take, side))
+            self._queues.append(queue)
         try:
             self._start()
         except RuntimeError as error:
@@ -182,6 +187,16 @@ class OakReplayPair(QueuePair):
             left, right = sorted((frame, other), key=lambda image: image.side)
             frames += [left, dataclasses.replace(right, mid_exposure_ns=left.mid_exposure_ns)]
         return frames
+
+    def _take(self, side: Side, image: Any) -> None:
+        self._arrived.append((side, image))
+
+    def _images(self) -> list[tuple[Side, Any]]:
+        ended = any(queue.isClosed() for queue in self._queues)
+        arrived = [self._arrived.popleft() for _ in range(len(self._arrived))]
+        if ended and not arrived:
+            raise DeviceError("DepthAI replay: the videos have ended")
+        return arrived
 
 
 def camera_queue(node: Any, socket: str, size_px: tuple[int, int], timing: OakTiming, dai: Any) -> Any:

@@ -15,8 +15,9 @@ import serial
 from companion.errors import DeviceError
 from companion.records import Shot, TriggerPlan
 
-LEAD_NS = 4_000_000
-"""From the call of ``fire`` to the edge: a slow USB link's time for a line; a constant latency, learned (choice)."""
+BAUD = 115200  # of a board on a real serial line that is told no other (choice)
+_LINK_NS = 4_000_000  # chosen: a slow USB link's time for a line
+_PLAN_BITS = 400  # on the wire: a plan's line of at most 40 bytes, each with start and stop bit (derived)
 _ANSWER_S = 0.05  # chosen: many times what a slow USB link needs for a line
 _WAKE_S = 3.0  # chosen: boards whose boot loader waits start within two seconds
 _FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset (choice)
@@ -26,6 +27,11 @@ _OLDEST_NS = 1_000_000_000  # chosen: an offset that is older may be off by 30 u
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
 _LONGEST_LINE = 256  # bytes: several times the longest of the protocol; what never ends a line is no board (choice)
 _WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
+
+
+def lead_ns(baud: int) -> int:
+    """Time from the call of ``fire`` to the edge, in which the plan's line arrives; a constant latency, learned."""
+    return _LINK_NS + _PLAN_BITS * 1_000_000_000 // baud
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +85,7 @@ class SerialBoardTrigger:
         The port cannot be opened, or no trigger board answers on it.
     """
 
-    def __init__(self, port: str, baud: int = 115200) -> None:
+    def __init__(self, port: str, baud: int = BAUD) -> None:
         self._port, self._baud, self._asked = port, baud, 0
         self._open()
 
@@ -91,13 +97,15 @@ class SerialBoardTrigger:
             raise DeviceError(f"cannot open trigger board on {self._port}: {error}") from error
         with contextlib.suppress(NotImplementedError, OSError, ValueError):
             self._serial.set_low_latency_mode(True)
+        self.lead_ns = lead_ns(self._baud)
         self.clock = BoardClock()
+        self._answer_length = 0
         self._greet()
         for _ in range(_FIRST_EXCHANGES):
             self.exchange()
 
     def fire(self, plan: TriggerPlan) -> Shot:
-        """Have the line raised ``LEAD_NS`` after the planned command, and say when the board did it, in host time.
+        """Have the line raised ``lead_ns`` after the planned command, and say when the board did it, in host time.
 
         Raises
         ------
@@ -115,7 +123,7 @@ class SerialBoardTrigger:
     def _fired(self, plan: TriggerPlan) -> Shot:
         if self.clock.is_stale(time.monotonic_ns()):
             self.exchange()
-        target_ns = plan.command_host_ns + LEAD_NS
+        target_ns = plan.command_host_ns + self.lead_ns
         offset_ns, _ = self.clock.offset(time.monotonic_ns())
         wanted = plan.plan_id % (1 << 32)
         board_us = (target_ns + offset_ns + 500) // 1000
@@ -143,13 +151,22 @@ class SerialBoardTrigger:
             self.exchange()
 
     def exchange(self) -> None:
-        """Ask the board for its time once; a lost answer is no error."""
+        """Ask the board for its time once; a lost answer is no error.
+
+        The question is as long as the answer: of a slow line's two ways neither then takes longer. The first question,
+        when no length is known yet, tells nothing else.
+        """
         self._asked += 1
+        question = f"T {self._asked}"
+        padded = question.replace(" ", " " * max(1 + self._answer_length - len(question), 1))
         asked_ns = time.monotonic_ns()
-        self._send(f"T {self._asked}")
+        self._send(padded)
         with contextlib.suppress(DeviceError):
             received, sent = self._await("t", self._asked)
-            self.clock.add(asked_ns, _number(received), _number(sent), time.monotonic_ns())
+            answered_ns = time.monotonic_ns()
+            if self._answer_length:
+                self.clock.add(asked_ns, _number(received), _number(sent), answered_ns)
+            self._answer_length = len(f"t {self._asked} {received} {sent}")
 
     def close(self) -> None:
         """Forget what waits, release the port."""
@@ -170,7 +187,7 @@ class SerialBoardTrigger:
 
     def _await(self, kind: str, number: int) -> list[str]:
         """Words after kind and number of the answer; lines that answer something else are passed over."""
-        until_ns = time.monotonic_ns() + int((_ANSWER_S + LEAD_NS * 1e-9) * 1e9)
+        until_ns = time.monotonic_ns() + int(_ANSWER_S * 1e9) + self.lead_ns
         while time.monotonic_ns() < until_ns:
             words = self._line()
             if len(words) > 2 and words[0] == kind and words[1] == str(number):

@@ -42,7 +42,7 @@ def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
     numbers = [int(word) for word in words[1:] if word.isdigit()]
     if kind == "mavlink" and (words[:1], len(words), len(numbers)) in ((["relay"], 2, 1), (["servo"], 3, 2)):
         return functools.partial(MavlinkTrigger, LinkFiring(words[0], *numbers))
-    if kind == "serial" and len(words) in (1, 2) and len(numbers) == len(words) - 1:
+    if kind == "serial" and len(words) in (1, 2) and len(numbers) == len(words) - 1 and 0 not in numbers:
         return functools.partial(SerialBoardTrigger, words[0], *numbers)
     if kind == "gpio" and len(words) in (2, 3) and words[1].isdigit() and words[2:] in ([], ["low"]):
         return functools.partial(GpioTrigger, words[0], int(words[1]), active_low=words[2:] == ["low"])

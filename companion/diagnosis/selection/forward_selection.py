@@ -79,15 +79,34 @@ class ForwardSelection(Generic[TermT, State]):
         return [foremost, *(self._recordings.screen(path.fitted, self._progress) for path in beam[1:])]
 
     def _unprejudiced(self, path: SelectionPath[TermT, State]) -> SelectionPath[TermT, State]:
-        """The same causes with values fitted under wide priors: priors rank causes, they measure nothing."""
+        """The same causes with values fitted under wide priors: priors rank causes, they measure nothing.
+
+        A cause beside others that the wide priors leave without evidence is left out: it only spared the other's prior.
+        """
         if not path.causes:
             return path
         self._progress("measure what was found", 0.0)
-        try:
-            fitted = self._recordings.fit(path.fitted.terms, path.fitted, UNPREJUDICED)
-        except UNPHYSICAL:
+        fitted = self._measured(path.fitted.terms, path.fitted)
+        if fitted is None:
             return path
-        return _restated(path, fitted) if fitted.converged else path
+        weakest = min(range(len(fitted.terms)), key=lambda place: _strength_z(fitted, place))
+        if len(fitted.terms) > 1 and _strength_z(fitted, weakest) < CERTAIN_Z:
+            terms = fitted.terms[:weakest] + fitted.terms[weakest + 1 :]
+            without = self._measured(terms, fitted)
+            if without is not None and without.log_evidence > fitted.log_evidence:
+                causes = path.causes[:weakest] + path.causes[weakest + 1 :]
+                return self._unprejudiced(
+                    _restated(SelectionPath(without, causes, self._stages(path.stages[0], terms)), without)
+                )
+        return _restated(path, fitted)
+
+    def _measured(self, terms: Sequence[TermT], near: Fit[TermT, State]) -> Fit[TermT, State] | None:
+        """Fit under wide priors; None where it does not converge."""
+        try:
+            fitted = self._recordings.fit(terms, near, UNPREJUDICED)
+        except UNPHYSICAL:
+            return None
+        return fitted if fitted.converged else None
 
     def _grow(
         self,
@@ -227,6 +246,12 @@ def _fresh(path: SelectionPath[TermT, State], screening: Screening[TermT]) -> li
 
 def _names(fitted: Fit[TermT, State]) -> _Names:
     return frozenset((term.name, term.channel) for term in fitted.terms)
+
+
+def _strength_z(fitted: Fit[TermT, State], place: int) -> float:
+    """Strength of a fitted term over its sigma."""
+    first = fitted.blocks[place][0]
+    return abs(float(fitted.values[first])) / float(fitted.spread[first])
 
 
 def _foremost(paths: Sequence[SelectionPath[TermT, State]]) -> list[SelectionPath[TermT, State]]:
