@@ -34,6 +34,40 @@ class StopFlag:
         return bool(self._byte.value)
 
 
+class WatchedStopFlag(StopFlag):
+    """A stop flag as one process has it, whose looks are counted: a process that looks no more hangs."""
+
+    def __init__(self, flag: StopFlag) -> None:
+        self._byte = flag._byte
+        self._looks: Any = multiprocessing.get_context("spawn").RawValue(ctypes.c_uint32, 0)
+
+    @property
+    def looks(self) -> int:
+        """How often the process has looked, modulo 2^32."""
+        return int(self._looks.value)
+
+    def is_set(self) -> bool:
+        """Whether all are to end; a sign of life too."""
+        self._looks.value += 1
+        return super().is_set()
+
+    def is_set_while_idle(self) -> bool:
+        """The same without a sign of life: a process that only waits for its turn is not watched."""
+        return super().is_set()
+
+
+class SharedCount:
+    """A count that outlives the processes that count, one after the other."""
+
+    def __init__(self) -> None:
+        self._value: Any = multiprocessing.get_context("spawn").RawValue(ctypes.c_uint32, 0)
+
+    def next(self) -> int:
+        """Count one; gives 1 at first."""
+        self._value.value += 1
+        return int(self._value.value)
+
+
 def die_with_parent(*, watch: bool = True) -> None:
     """End this process by SIGTERM when its parent dies; Ctrl-C, which reaches all of them, is the parent's to handle.
 

@@ -93,8 +93,9 @@ class Evidence:
     CAMERA_FEEDBACK; with two cameras ArduPilot sends each more than once.
 
     Of a recording of ours, ``shots`` were fired, ``pairs`` of images matched, ``unpaired`` images had no partner and
-    ``lost`` ones never came; ``plan_outcomes`` counts the end of every plan to fire. ``node_losses`` are the wing
-    nodes' counters by (component, name) of NAMED_VALUE_INT. ``clipped`` counts the samples at their sensor's limits and
+    ``lost`` ones never came; ``plan_outcomes`` counts the end of every plan to fire. ``node_counters`` are the
+    wing nodes' newest counters since they started, by (component, name) of NAMED_VALUE_INT, and ``node_losses`` by how
+    much each has grown while it was heard. ``clipped`` counts the samples at their sensor's limits and
     all of them; ``autopilot_clips`` are the sums of VIBRATION's three counters of clipped samples, in order.
     ``realtime`` is whether this user may take a real-time priority, None where that is not known.
     ``buffer_shortfall`` are the bytes that may wait in a link's UDP socket and those that were asked for, None where
@@ -126,7 +127,8 @@ class Evidence:
     skipped_bytes: int = 0
     serial_baud: dict[str, int] = field(default_factory=dict)
     link_components: dict[str, set[int]] = field(default_factory=dict)
-    node_losses: dict[tuple[int, str], int] = field(default_factory=dict)
+    node_counters: dict[tuple[int, str], int] = field(default_factory=dict)
+    node_losses: Counter[tuple[int, str]] = field(default_factory=Counter)
     clipped: dict[Station, SampleCounts] = field(default_factory=dict)
     autopilot_clips: list[int] = field(default_factory=list)
     realtime: bool | None = None

@@ -144,7 +144,11 @@ def note(evidence: Evidence, heard: Heard, system: int | None) -> None:
     elif heard.system != system:
         return
     elif heard.name == "NAMED_VALUE_INT":
-        evidence.node_losses[heard.component, message.name] = message.value
+        key, newest = (heard.component, message.name), message.value
+        before = evidence.node_counters.get(key, newest)
+        # a node that nobody read has lost what its port could not hold; one that has started again counts from 0
+        evidence.node_losses[key] += newest - before if newest >= before else newest
+        evidence.node_counters[key] = newest
     elif heard.name == "DISTANCE_SENSOR":
         evidence.range_senders[(*sender, message.orientation)] += 1
     elif heard.component != mavlink.MAV_COMP_ID_AUTOPILOT1:

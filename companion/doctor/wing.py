@@ -93,7 +93,7 @@ def _lines(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _losses(evidence: Evidence) -> Iterator[Finding]:
-    """Losses that the nodes themselves count (tools/wing_node)."""
+    """Losses that the nodes themselves count (tools/wing_node) while they are heard."""
     for (component, name), count in sorted(evidence.node_losses.items()):
         if count and name in _LOSSES:
             yield Finding.fix("wing", f"node {component}: {count} {_LOSSES[name]}")

@@ -2,7 +2,8 @@
 
 A process that never ran for a minute is set up wrongly: after a few tries the service gives up, with its message on the
 screen. One that has run (a camera that came loose in flight) is tried again for as long as the service lives, in
-growing pauses, while the others go on and the heartbeat tells.
+growing pauses, while the others go on and the heartbeat tells. One that hangs (a driver's call that never comes back)
+is killed: each looks at the stop flag in every turn of its loop, and the looks are counted.
 
 A worker may have a spare: a second process of it that has loaded everything and waits. It takes over as
 soon as the first is found dead, and the next spare is made once the new one has settled.
@@ -20,7 +21,7 @@ from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
-from companion.lifetime import StopFlag, die_with_parent
+from companion.lifetime import StopFlag, WatchedStopFlag, die_with_parent
 from companion.ports import Clock
 
 _STOP_S = 1.2  # chosen: with the next two, all is over within 3 s
@@ -30,6 +31,8 @@ _KILLED_S = 0.2  # nothing outlives SIGKILL, but the kernel takes a moment (choi
 _MOST_RESTARTS = 5  # of a process that never came to work (choice)
 _SECOND_NS = 1_000_000_000  # by definition
 _STEADY_NS = 60 * _SECOND_NS  # chosen: a process that was set up wrongly does not live for a minute
+_HUNG_NS = 20 * _SECOND_NS  # chosen: a pair of images that is matched on a busy small computer takes a second or two
+_SILENT_LOOKS = 10  # in a row, so that a machine that was stopped is not taken for a process that hangs (choice)
 _LONGEST_PAUSE_NS = 30 * _SECOND_NS  # chosen: a camera that was plugged in again is found half a minute later
 
 _SETTLED_NS = 5 * _SECOND_NS  # chosen: the new process has the machine to itself while it starts
@@ -45,11 +48,11 @@ class StandbyGate:
     end: socket.socket
     spare: bool = False
 
-    def wait_for_turn(self, stop: StopFlag) -> bool:
+    def wait_for_turn(self, stop: WatchedStopFlag) -> bool:
         """Say that all is prepared, and wait; False where the service ends before."""
         self.end.send(b"ready")
         while not select.select([self.end], [], [], _LOOK_S)[0]:
-            if stop.is_set():
+            if stop.is_set_while_idle():
                 return False
         return bool(self.end.recv(8))
 
@@ -60,14 +63,17 @@ class _StandbyProcess:
 
     process: SpawnProcess
     line: socket.socket
+    stop: WatchedStopFlag
 
 
 @dataclass(slots=True)
 class Worker:
     """One process: how to start it, and how often it had to be started again since it last ran for a minute.
 
-    ``optional`` is one that the others can do without, ``last`` one that ends after the others, whose records it takes.
-    With ``standby`` the target gets a :class:`StandbyGate` before the stop flag.
+    ``optional`` is one that the others can do without, ``last`` one that ends after the others, whose records it takes;
+    it may wait for a disk, and is never taken to hang.
+    With ``standby`` the target gets a :class:`StandbyGate` before the stop flag. ``thread_beside`` says that a thread
+    beside the worker's own may watch over the parent; one that spins at a real-time priority looks itself.
     """
 
     name: str
@@ -81,20 +87,25 @@ class Worker:
     started_ns: int = 0
     again_ns: int | None = None
     standby: bool = False
+    thread_beside: bool = True
     spare: _StandbyProcess | None = None
     line: socket.socket | None = None  # to the process, if it had to wait for its turn
     settled_ns: int | None = None
+    stop: WatchedStopFlag | None = None
+    looks: int = 0
+    looked_ns: int = 0
+    silent_looks: int = 0
 
     def start(self, now_ns: int) -> None:
         """Start a fresh process, or let the spare take over."""
         self.started_ns, self.again_ns, self.settled_ns = now_ns, None, None
         if not self.standby:
-            self.process = self._spawned(*self.arguments)
+            self.process, self.stop = self._spawned(*self.arguments)
             return
         spare = self.spare if self.spare is not None and self.spare.process.is_alive() else self._waiting(spare=False)
         if self.line is not None:
             self.line.close()
-        self.process, self.line, self.spare = spare.process, spare.line, None
+        self.process, self.line, self.stop, self.spare = spare.process, spare.line, spare.stop, None
         with contextlib.suppress(OSError):  # it has just died: the next look finds it so
             self.line.send(b"go")
 
@@ -118,16 +129,35 @@ class Worker:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         *arguments, stop = self.arguments
-        process = self._spawned(*arguments, StandbyGate(theirs, spare), stop)
+        process, watched = self._spawned(*arguments, StandbyGate(theirs, spare), stop)
         theirs.close()
-        return _StandbyProcess(process, ours)
+        return _StandbyProcess(process, ours, watched)
 
-    def _spawned(self, *arguments: Any) -> SpawnProcess:
+    def _spawned(self, *arguments: Any) -> tuple[SpawnProcess, WatchedStopFlag]:
+        *others, stop = arguments
+        watched = WatchedStopFlag(stop)
         process = SPAWN.Process(
-            target=_bound, args=(self.target, *arguments), name=f"spanwise-{self.name}", daemon=False
+            target=_bound,
+            args=(self.target, self.thread_beside, *others, watched),
+            name=f"spanwise-{self.name}",
+            daemon=False,
         )
         process.start()
-        return process
+        return process, watched
+
+    def hangs(self, now_ns: int) -> bool:
+        """Whether the process has not looked at its stop flag for long; asked about once a second."""
+        looks = 0 if self.stop is None else self.stop.looks
+        if looks != self.looks or not looks or self.last:
+            self.looks, self.looked_ns, self.silent_looks = looks, now_ns, 0
+        self.silent_looks += 1
+        return self.silent_looks > _SILENT_LOOKS and now_ns - self.looked_ns >= _HUNG_NS
+
+    def kill(self, now_ns: int) -> None:
+        """End a process that hangs; it is found dead at the next look, or asked anew whether it hangs."""
+        self.looked_ns = now_ns
+        if self.process is not None:
+            self.process.kill()
 
     def alive(self) -> bool:
         """Whether the process runs."""
@@ -143,9 +173,9 @@ class Worker:
         return min(_SECOND_NS << min(self.restarts - 1, 5), _LONGEST_PAUSE_NS) if self.restarts else 0
 
 
-def _bound(target: Callable[..., None], *arguments: Any) -> None:
+def _bound(target: Callable[..., None], watch: bool, *arguments: Any) -> None:
     """Be a worker that does not outlive the supervisor."""
-    die_with_parent()
+    die_with_parent(watch=watch)
     target(*arguments)
 
 
@@ -165,9 +195,14 @@ class Supervisor:
         optional: bool = False,
         last: bool = False,
         standby: bool = False,
+        thread_beside: bool = True,
     ) -> None:
         """Register a worker (see :class:`Worker`); its target gets the arguments and the stop flag."""
-        self._workers.append(Worker(name, target, (*arguments, self.stop_flag), optional, last, standby=standby))
+        self._workers.append(
+            Worker(
+                name, target, (*arguments, self.stop_flag), optional, last, standby=standby, thread_beside=thread_beside
+            )
+        )
 
     def __enter__(self) -> Supervisor:
         for worker in self._workers:
@@ -186,6 +221,9 @@ class Supervisor:
                 if now_ns - worker.started_ns >= _STEADY_NS:
                     worker.proven, worker.restarts = True, 0
                 worker.prepare(now_ns)
+                if worker.hangs(now_ns):
+                    worker.kill(now_ns)
+                    sentences.append(f"process {worker.name} hangs; killed")
             elif not worker.abandoned:
                 sentences += _revived(worker, now_ns)
         return sentences

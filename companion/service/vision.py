@@ -43,6 +43,8 @@ def run(
             for word in updates():
                 vision_step(state, word, clock.now_ns())
             for frame in frames:
+                if stop.is_set():
+                    break
                 _check_size(frame, state)
                 if recorder is not None:
                     recorder.write(frame)

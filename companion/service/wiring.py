@@ -24,7 +24,7 @@ from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.errors import ConfigError, LinkDown, SpanwiseError
-from companion.lifetime import StopFlag
+from companion.lifetime import SharedCount, StopFlag, WatchedStopFlag
 from companion.live.broadcaster import require_live
 from companion.live.door import listen
 from companion.live.feed import FeedEnd, Interest, LiveFeed
@@ -71,10 +71,10 @@ class Service(Supervisor):
         shots = None
         if config.trigger is not None:
             shots, line = line_pair()
-            self.add("trigger", _trigger_process, config, line)
+            self.add("trigger", _trigger_process, config, line, thread_beside=False)
         updates_in, updates = channel() if config.cameras is not None else (None, None)
         inertial_feed, vision_feed = self._add_live(config, matches_in)
-        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_recorder, inertial_feed)
+        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_recorder, inertial_feed, SharedCount())
         if config.cameras is not None:
             ends_of_vision = (updates, matches_in, vision_recorder, vision_feed)
             self.add("vision", _vision_process, config, _stored(config), *ends_of_vision)
@@ -83,7 +83,9 @@ class Service(Supervisor):
         self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *gate, standby=config.standby)
         if ends:
             about = About.of(config.airframe, config.settings)
-            self.add("recorder", _recorder_process, config, about, ends, matches_in, optional=True, last=True)
+            self.add(
+                "recorder", _recorder_process, config, about, ends, SharedCount(), matches_in, optional=True, last=True
+            )
         self._say = matches_in
 
     def _add_live(self, config: ServiceConfig, say: Sender) -> tuple[FeedEnd | None, FeedEnd | None]:
@@ -170,9 +172,9 @@ class _Recorders:
             recorder.close()
 
 
-def _recorder(recorder_end: socket.socket | None, feed_end: FeedEnd | None) -> Recorder:
+def _recorder(recorder_end: socket.socket | None, feed_end: FeedEnd | None, *, successor: bool = False) -> Recorder:
     """The recorder's client and the live view's feed, as far as they are there."""
-    clients: list[Recorder] = [] if recorder_end is None else [RecorderClient(recorder_end)]
+    clients: list[Recorder] = [] if recorder_end is None else [RecorderClient(recorder_end, successor=successor)]
     clients += [] if feed_end is None else [LiveFeed(feed_end)]
     return clients[0] if len(clients) == 1 else _Recorders(clients)
 
@@ -213,8 +215,9 @@ def _inertial_process(
     shown: Sender,
     recorder_end: socket.socket | None,
     feed_end: FeedEnd | None,
+    starts: SharedCount,
     gate: StandbyGate | None,
-    stop: StopFlag,
+    stop: WatchedStopFlag,
 ) -> None:
     clock: Clock = MonotonicClock()
     manager = ServiceManager(os.environ)
@@ -240,7 +243,7 @@ def _inertial_process(
         shots=_NoShots() if shots is None else TriggerLink(shots),
         inbox=matches.receive,
         show=shown.send,
-        recorder=_recorder(recorder_end, feed_end),
+        recorder=_recorder(recorder_end, feed_end, successor=starts.next() > 1),
         fires_by_link=firing is not None,
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
         alive=manager.ticked,
@@ -287,11 +290,11 @@ def _warning(sentence: str) -> Notice:
 
 
 def _recorder_process(
-    config: ServiceConfig, about: About, ends: list[socket.socket], say: Sender, stop: StopFlag
+    config: ServiceConfig, about: About, ends: list[socket.socket], parts: SharedCount, say: Sender, stop: StopFlag
 ) -> None:
     assert config.recording is not None
     keep_bytes = config.recording_keep_bytes
-    keep_recording(config.recording, about, ends, lambda text: say.send(_warning(text)), stop, keep_bytes)
+    keep_recording(config.recording, about, ends, lambda text: say.send(_warning(text)), stop, keep_bytes, parts)
 
 
 def _live_process(

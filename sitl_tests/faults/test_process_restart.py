@@ -22,7 +22,7 @@ from companion.adapters.mavlink.component.parameter_server import ParameterServe
 from companion.adapters.triggers.process import TriggerLink, line_pair
 from companion.adapters.triggers.wire import Realtime, pack_report
 from companion.errors import DeviceError, LinkDown, LinkError
-from companion.lifetime import StopFlag
+from companion.lifetime import SharedCount, StopFlag
 from companion.params.files import load_airframe
 from companion.params.persist import load_stored
 from companion.params.settings import Settings
@@ -234,7 +234,7 @@ def test_the_inertial_process_starts_without_a_link_that_is_down(port: int, monk
     for connections in ((NO_NODE,), (NO_NODE, f"udpin:127.0.0.1:{port}")):
         config = ServiceConfig(load_airframe("nadir-2m"), Settings(), connections)
         stop: Any = threading.Event()
-        wiring._inertial_process(config, {}, None, matches, None, shown, None, None, None, stop)
+        wiring._inertial_process(config, {}, None, matches, None, shown, None, None, SharedCount(), None, stop)
     assert len(turns) == 2
 
 
@@ -246,9 +246,10 @@ class Flashes:
 
     def poll(self, timeout_s: float) -> list[Frame]:
         del timeout_s
-        self._left -= 1
         if self._left == 0:
             self._stop.set()
+            return []
+        self._left -= 1
         texture = np.random.default_rng(self._left).integers(0, 255, (480, 640), dtype=np.uint8)
         t_ns = time.monotonic_ns()
         return [Frame(side, self._left, ClockName.HOST, t_ns, 2_000_000, 0, -1, texture) for side in Side]

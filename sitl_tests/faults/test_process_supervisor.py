@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from companion.lifetime import StopFlag
+from companion.lifetime import StopFlag, WatchedStopFlag
 from companion.service import supervisor
 from companion.service.supervisor import StandbyGate, Supervisor
 from sitl_tests.loop.ground_stations import S, TurnedClock
@@ -24,6 +24,8 @@ class Process:
 
     def __init__(self, args: tuple[Any, ...] = (), **_: Any) -> None:
         self.exitcode: int | None = None
+        self.stop: WatchedStopFlag = args[-1]
+        self.killed = 0
         turns = [argument for argument in args if isinstance(argument, StandbyGate)]
         self.end = turns[0].end.dup() if turns else None  # as it is in another process
 
@@ -41,6 +43,11 @@ class Process:
 
     def is_alive(self) -> bool:
         return self.exitcode is None
+
+    def kill(self) -> None:
+        """It is gone at the next look."""
+        self.killed += 1
+        self.exitcode = -9
 
     def join(self, _: float) -> None:
         """It obeys."""
@@ -109,6 +116,46 @@ def test_what_has_run_is_never_given_up_and_comes_back(alone: Tended) -> None:
     alone.tended(61.0)
     alone.die()
     assert "started again" in alone.tended(0.25)[0][1], "all is forgiven after a steady minute"
+
+
+def test_what_hangs_is_killed_and_started_again(alone: Tended) -> None:
+    """A call into a driver that never comes back; before the first turn a device may take its time to open."""
+    first: Any = alone.worker.process
+    assert alone.tended(120.0) == []
+    for _ in range(30):
+        assert not first.stop.is_set()
+        assert alone.tended(1.0) == []
+    said = alone.tended(25.0)
+    assert [sentence for _, sentence in said] == [
+        "process vision hangs; killed", "process vision ended (-9); started again (try 1)",
+    ]  # fmt: skip
+    assert 19.0 < said[0][0] <= 21.0
+    assert first.killed == 1
+    assert alone.worker.process is not first
+
+
+def test_a_machine_that_stopped_is_no_process_that_hangs(alone: Tended) -> None:
+    first: Any = alone.worker.process
+    first.stop.is_set()
+    alone.tended(1.0)
+    alone.clock.now += 600 * S
+    assert alone.tended(1.0) == []
+    first.stop.is_set()
+    assert alone.tended(15.0) == []
+
+
+def test_a_spare_that_waits_gives_no_sign_of_life() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    stop = WatchedStopFlag(StopFlag())
+    with ours, theirs:
+        waiting = threading.Thread(target=StandbyGate(theirs, spare=True).wait_for_turn, args=(stop,))
+        waiting.start()
+        time.sleep(0.5)
+        ours.send(b"go")
+        waiting.join()
+    assert stop.looks == 0
+    assert not stop.is_set()
+    assert stop.looks == 1
 
 
 @pytest.fixture
@@ -202,7 +249,7 @@ def test_a_process_that_is_frozen_or_killed_while_it_looks_at_the_stop_flag_hold
 
 def test_a_process_that_waits_for_its_turn_ends_with_the_service() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    stop: Any = threading.Event()
+    stop = WatchedStopFlag(StopFlag())
     threading.Timer(0.1, stop.set).start()
     assert not StandbyGate(theirs).wait_for_turn(stop)
     assert ours.recv(8) == b"ready"

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import json
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -393,11 +394,21 @@ def test_a_gyro_notch_on_the_modes_is_named(notch: str) -> None:
 def test_what_a_node_says_that_it_lost_is_told_with_the_cause() -> None:
     full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
     losses = {(200, "loop_lost"): 12, (201, "line_lost"): 7, (201, "line_bad"): 0, (158, "other"): 5}
-    said = texts(evidence_of(axes=full, rate_hz=rates, node_losses=losses), doctor.check_nodes)
+    said = texts(evidence_of(axes=full, rate_hz=rates, node_losses=Counter(losses)), doctor.check_nodes)
     assert "FIX node 200: 12 readings lost because its loop came too late" in said
     assert "FIX node 201: 7 readings lost because its line is too slow" in said
     assert "damaged" not in said
     assert "158" not in said
+
+
+def test_what_a_node_lost_before_it_was_heard_is_no_fault() -> None:
+    """A USB port that no program reads fills up: 2,617 readings were lost before the doctor looked, and then three."""
+    evidence = evidence_of()
+    for count, lost in ((2617, 0), (2617, 0), (2620, 3), (1, 4)):  # the last after a new start of the node
+        message = mavlink.MAVLink_named_value_int_message(0, b"line_lost", count)
+        note(evidence, Heard(0, 1, 200, message, 0), 1)
+        said = texts(evidence, doctor.check_nodes)
+        assert (f"node 200: {lost} readings lost" in said) is (lost > 0)
 
 
 def test_zero_one_and_two_nodes_each_have_a_stated_behaviour() -> None:

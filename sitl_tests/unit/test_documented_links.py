@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [path for path in sorted(ROOT.rglob("*.md")) if not {".venv", "out", "node_modules"} & set(path.parts)]
+OTHERS = {".venv", "out", "build", "dist", "node_modules"}
+PAGES = [path for path in sorted(ROOT.rglob("*.md")) if not OTHERS & set(path.relative_to(ROOT).parts)]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

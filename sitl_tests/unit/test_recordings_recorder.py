@@ -19,6 +19,7 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
+from companion.lifetime import SharedCount
 from companion.numbered_files import free_path
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -220,6 +221,25 @@ def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) ->
     assert [record.text for record in records if isinstance(record, Notice)] == [str(i) for i in range(50)]
     assert recording.dropped == 4
     assert not recording.replayable
+
+
+@pytest.mark.parametrize(("successor", "started_before"), [(False, False), (True, False), (False, True)])
+def test_a_flight_that_goes_on_in_new_processes_is_not_replayable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, successor: bool, started_before: bool
+) -> None:
+    """Estimation began anew in the middle of the file, or before it: no replay gives what was published."""
+    monkeypatch.setattr(recorder, "_on_terminate", list)
+    client_end, theirs = recorder_channel()
+    client, parts = RecorderClient(client_end, successor=successor), SharedCount()
+    if started_before:
+        parts.next()
+    client.write(Tick(1))
+    client.close()
+    keep_recording(tmp_path / "a.mcap", ABOUT, [theirs], pytest.fail, parts=parts)
+    recording = McapRecording(tmp_path / "a.mcap")
+    assert list(recording.records()) == [Tick(1)]
+    assert recording.replayable is not (successor or started_before)
+    assert bool(recording.notices) is (successor or started_before)
 
 
 _PRODUCER = """

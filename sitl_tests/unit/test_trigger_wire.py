@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.triggers.mavlink import CAMERAS, MavlinkTrigger
+from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring, MavlinkTrigger
 from companion.adapters.triggers.wire import LARGEST, Realtime, pack_plan, pack_report, unpack_plan, unpack_report
+from companion.errors import DeviceError
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 int64 = st.integers(-(2**63), 2**63 - 1)
@@ -82,6 +83,19 @@ def test_a_mavlink_shot_asks_for_one_picture_of_every_camera() -> None:
     assert request.command == 2000
     assert request.parameters[:4] == (0.0, 0.0, 1.0, 7.0)
     assert len(request.parameters) == 7
+
+
+@pytest.mark.parametrize("kind", ["relay", "servo"])
+def test_a_relay_that_may_still_be_on_is_not_told_to_go_on(kind: str) -> None:
+    """ArduPilot toggles it: a command between the two edges would leave the line high, and shots would be its falls."""
+    plan = TriggerPlan(7, Firing.PEAK, 100, 200, 0, 0.1, 300, 50)
+    trigger = MavlinkTrigger(LinkFiring(kind, 2))
+    first_ns = trigger.fire(plan).fired_host_ns
+    with pytest.raises(DeviceError, match=f"{kind} 2 may still be on.*TRG_RATE"):
+        trigger.fire(plan)
+    while time.monotonic_ns() < first_ns + 60_000_000:
+        time.sleep(0.005)
+    assert trigger.fire(plan).fired_host_ns >= first_ns + 60_000_000
 
 
 def test_clocks() -> None:

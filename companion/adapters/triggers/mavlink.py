@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.errors import DeviceError
 from companion.ports import Trigger
 from companion.records import Shot, TriggerPlan
 
@@ -20,7 +21,8 @@ MAV_CMD_DO_REPEAT_RELAY = 182  # MAVLink common.xml
 MAV_CMD_DO_REPEAT_SERVO = 184  # MAVLink common.xml
 _ALL_CAMERAS = 0.0  # target of IMAGE_START_CAPTURE (MAVLink common.xml)
 _LARGEST_EXACT_FLOAT32 = 1 << 24  # largest count that a command's float parameter holds exactly (derived)
-_PULSE_S = 0.05  # chosen: a relay or servo follows 50 ms, and the line is low again before the next shot
+_PULSE_S = 0.05  # chosen: on and off again; ArduPilot goes back after half of it and looks every 20 ms
+_REST_NS = 60_000_000  # after a command: the line is low again (derived: half a pulse, and a look late on either side)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +74,23 @@ class MavlinkTrigger:
 
     def __init__(self, firing: LinkFiring = CAMERAS) -> None:
         self.firing = firing
+        self._fired_ns = -_REST_NS
 
     def fire(self, plan: TriggerPlan) -> Shot:
-        """Stamp the request."""
-        return Shot(plan.plan_id, plan.command_host_ns, time.monotonic_ns())
+        """Stamp the request.
+
+        Raises
+        ------
+        DeviceError
+            A relay or servo may still be on from the last shot: a command now would turn the line round, and each
+            further shot would end a pulse instead of beginning one.
+        """
+        now_ns = time.monotonic_ns()
+        if self.firing.kind != "camera" and now_ns - self._fired_ns < _REST_NS:
+            text = f"{self.firing.kind} {self.firing.channel} may still be on"
+            raise DeviceError(f"{text}: no more than {1_000_000_000 // _REST_NS} shots a second, set TRG_RATE so")
+        self._fired_ns = now_ns
+        return Shot(plan.plan_id, plan.command_host_ns, now_ns)
 
     def close(self) -> None:
         """Nothing to release; the link is the inertial process's."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderReceiver
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
-from companion.lifetime import StopFlag
+from companion.lifetime import SharedCount, StopFlag
 from companion.numbered_files import free_path, remove_oldest
 
 _IDLE_S = 0.25  # chosen: how late the recorder sees that it is to end
@@ -29,6 +29,7 @@ def keep_recording(
     say: Callable[[str], object],
     stop: StopFlag | None = None,
     keep_bytes: int | None = None,
+    parts: SharedCount | None = None,
 ) -> None:
     """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
 
@@ -39,24 +40,24 @@ def keep_recording(
     the name. Where the disk is full or read only, ``say`` is told so; what comes is thrown away, and every half minute
     a file is tried again: the service flies on.
     With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
-    finished and followed by a further part, and the oldest ones are removed.
+    finished and followed by a further part, and the oldest ones are removed. ``parts`` counts them for a recorder that
+    may be started again.
     """
+    parts = parts or SharedCount()
     part_bytes = None if keep_bytes is None else keep_bytes // _PARTS
     with selectors.DefaultSelector() as selector:
         producers = _Producers(selector, ends, stop)
-        part_number = 1
         while not producers.have_ended:
             try:
                 if keep_bytes is not None and part_bytes is not None:
                     remove_oldest(path, keep_bytes - part_bytes)
-                if _write_file(path, dataclasses.replace(about, part_number=part_number), producers, part_bytes):
+                if _write_file(path, dataclasses.replace(about, part_number=parts.next()), producers, part_bytes):
                     return
             except (RecordingError, OSError) as error:
                 what = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
                 say(f"not recording: {what}")
                 if _discard(producers):
                     return
-            part_number += 1
 
 
 class _Producers:

@@ -42,10 +42,11 @@ class RecorderClient:
     """The recorder port in a producing process; to be used from one thread.
 
     ``end`` is the producer's end of :func:`recorder_channel`; while the disk is slow, at most ``capacity_bytes`` wait
-    here.
+    here. A ``successor`` takes the place of a process that died: what that one had not sent is missing, and counts as
+    one dropped record.
     """
 
-    def __init__(self, end: socket.socket, capacity_bytes: int = 64 << 20) -> None:
+    def __init__(self, end: socket.socket, capacity_bytes: int = 64 << 20, *, successor: bool = False) -> None:
         self._end = end
         self._end.settimeout(_SEND_TIMEOUT_S)
         self._capacity_bytes = capacity_bytes
@@ -53,7 +54,7 @@ class RecorderClient:
         self._queued_bytes = 0  # changed by the caller's thread alone
         self._sent_bytes = 0  # changed by the sending thread alone
         self._refused = 0  # likewise the caller's
-        self._lost = 0  # likewise the sender's
+        self._lost = int(successor)  # likewise the sender's
         self._reported_drops = 0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._send_all, name="recorder-client", daemon=True)
