@@ -74,7 +74,7 @@ def _figures(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
     return table | _intervals(rows) | _gains(rows) | _seconds(rows)
 
 
-def wilson(counted: int, total: int) -> tuple[float, float]:
+def wilson(counted: float, total: float) -> tuple[float, float]:
     """95 % interval of a share."""
     if not total:
         return 0.0, 1.0

@@ -37,6 +37,7 @@ from companion.reporting.numbers import finite
 from companion.sim.flight.flight import Flight
 
 TRUSTED_FROM_S = 15.0  # chosen: clocks, tracker and latency have settled
+_UNANSWERED_S = 0.6  # before a flight's end: pairs whose smoothed state is still to come when it is over (choice)
 _RANDOM_RATE_HZ = 4.0  # chosen: some hundred instants in half a minute
 _RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
 _ARRIVAL_NS = 100_000_000  # chosen: read-out and matching of a small companion computer
@@ -195,7 +196,7 @@ def _truth(flight: Flight) -> dict[str, float]:
 def _settled(geometry: TrueGeometry, outputs: PipelineOutputs) -> dict[str, Any]:
     """Pairs from :data:`TRUSTED_FROM_S` on that had time to be corrected, and the share that was published."""
     from_ns = geometry.start_host_ns + round(TRUSTED_FROM_S * 1e9)
-    until_ns = max((entry.t_host_ns for entry in outputs.ranges.values()), default=from_ns)
+    until_ns = geometry.start_host_ns + round((geometry.flight.duration_s - _UNANSWERED_S) * 1e9)
     pairs = [i for i, entry in outputs.matches.items() if from_ns <= int(entry.mid_exposure_ns.mean()) <= until_ns]
     trusted = sum(i in outputs.ranges and outputs.ranges[i].trusted for i in pairs)
     return {"from_s": TRUSTED_FROM_S, "pairs": len(pairs), "trusted": trusted}

@@ -69,9 +69,9 @@ def trigger_scores(
     stillest_s = np.array([free.stillest_s(planned_s, shot_s) for shot_s, planned_s in aimed])
     blur = {way: _blur_px(flight, instants) for way, instants in
             (("at_plan", fired_s), ("limit", stillest_s), ("at_random", random_s))}  # fmt: skip
-    means = {way: float(np.mean(values)) if len(values) else np.nan for way, values in blur.items()}
     scores["blur_px"] = {way: spread(values) for way, values in blur.items()}
-    scores["share_of_gain"] = (means["at_random"] - means["at_plan"]) / (means["at_random"] - means["limit"])
+    rms_px = {way: float(np.sqrt(np.mean(values**2))) if len(values) else np.nan for way, values in blur.items()}
+    scores["share_of_gain"] = (rms_px["at_random"] - rms_px["at_plan"]) / (rms_px["at_random"] - rms_px["limit"])
     return scores
 
 

@@ -30,7 +30,7 @@ def judged_flight(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
     flight = {"columns": COLUMNS + PEER_COLUMNS, "judged": [[*shot, 0.0, 0.0, 0.0] for shot in judged], "withheld": {}}
     return (
         flight
-        | {"seed": 1, "refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0}
+        | {"seed": 1, "refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "until_s": 31.6, "shot_s": 1.0}
         | {"constants": {}}
         | changes
     )
@@ -80,6 +80,25 @@ def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
     assert figures["far"] == 0
     assert figures["nees"] == pytest.approx(16.0 / 11)
     assert set(missed(group, figures)) == {"trusted", "NEES", "3 sigma", "wrong"}
+
+
+def test_shots_that_never_came_and_flights_that_failed_are_shots_that_were_not_trusted() -> None:
+    """A pipeline that answers nothing after 20 s trusted 5 of 16; of three flights one ended with an error."""
+    row = CampaignRow("fair", "nadir-2m", "6-axis")
+    silent = judged_flight([shot(15.0 + k) for k in range(5)])
+    assert summary(pooled(row, [silent]))["trusted"] == pytest.approx(5 / 16)
+    good = judged_flight([shot(15.0 + k) for k in range(16)])
+    group = pooled(row, [good, good], failed=1)
+    assert summary(group)["trusted"] == pytest.approx(32 / 48)
+    assert {"failed", "trusted"} <= set(missed(group, summary(group)))
+
+
+def test_the_share_trusted_has_the_interval_of_its_flights_and_not_of_its_shots() -> None:
+    """Half of 40 flights trust all, the others nothing: 40 draws of a coin, however many shots each flight has."""
+    row = CampaignRow("fair", "nadir-2m", "6-axis")
+    flights = [judged_flight([shot(15.0 + k, trusted=float(n % 2)) for k in range(16)]) for n in range(40)]
+    figures = summary(pooled(row, flights))
+    assert (figures["low"], figures["high"]) == pytest.approx(wilson(20, 40), abs=0.01)
 
 
 def test_a_range_of_the_right_features_can_miss_what_stands_on_the_axis() -> None:

@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,8 @@ def measure(task: FileTask) -> dict[str, Any]:
     if task.path.stem.startswith("deadly") or (task.path.stem.startswith("once") and not once.exists()):
         once.touch()
         os.kill(os.getpid(), signal.SIGKILL)
+    if task.path.stem.startswith("last"):
+        threading.Timer(0.1, os._exit, [3]).start()
     with task.path.with_suffix(".count").open("a") as count:
         count.write("x")
     return {"file": str(task.path), "letters": len(task.path.read_text())}
@@ -116,6 +120,16 @@ def test_a_killed_worker_costs_nothing_but_time_and_a_deadly_file_only_itself(tm
     got = results(paths, tmp_path / "out", 2)
     assert [got[name].get("letters") for name in ("once", "other", "more")] == [1, 3, 4]
     assert "its worker ended (-9), 2 times" in got["deadly"]["failed"]
+
+
+@pytest.mark.slow
+def test_a_worker_that_ends_between_two_files_costs_none_of_them(tmp_path: Path) -> None:
+    paths = files(tmp_path, "last", "other", "more")
+    got = {}
+    for task, row in run(tasks_of(paths, ("measure",), tmp_path / "out"), measure, 1):
+        got[task.path.stem] = row.get("letters")
+        time.sleep(0.5)  # who takes the rows is slow, and the worker is gone before its next file
+    assert got == {"last": 1, "other": 2, "more": 3}
 
 
 @pytest.mark.slow

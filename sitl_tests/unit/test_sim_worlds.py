@@ -14,7 +14,7 @@ from companion.core.wing.lowpass import Biquad
 from companion.params.airframe import Sensor
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
-from companion.sim.flight.aircraft import airspeed, circuit_plan, lift_share
+from companion.sim.flight.aircraft import airspeed, altitude_m, circuit_plan, lift_share
 from companion.sim.flight.flight import build_flight, undisturbed
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.sensors import BACKEND_HZ, lowpassed
@@ -159,12 +159,27 @@ def test_lens_residuals_have_the_stated_sigmas() -> None:
 def test_a_discrete_gust_lifts_the_load_factor_by_what_was_drawn() -> None:
     weather = dataclasses.replace(FAIR.weather, discrete_per_min=60.0, discrete_g=(0.3, 0.3), discrete_s=(0.8, 0.8))
     plan = gusty(still_plan(20.0), weather, np.random.default_rng(3))
-    single_gust = dataclasses.replace(
-        plan, duration_s=12.0, pull_ups=(dataclasses.replace(plan.pull_ups[0], from_s=2.0),)
-    )
-    flight = build_flight(load_airframe("nadir-2m"), 1, plan=single_gust, gust=GustKind.CALM, perturbed=False)
-    factor = flight.truth.series(np.arange(0, 12_000_000_000, 5_000_000)).load_factor
-    assert factor.max() - 1.0 == pytest.approx(0.3, abs=0.01)
+    signs = [math.copysign(1.0, gust.climb_mps) for gust in plan.pull_ups]
+    assert {-1.0, 1.0} == set(signs)
+    for sign in (-1.0, 1.0):
+        gust = dataclasses.replace(plan.pull_ups[signs.index(sign)], from_s=2.0)
+        single_gust = dataclasses.replace(plan, duration_s=12.0, pull_ups=(gust,))
+        flight = build_flight(load_airframe("nadir-2m"), 1, plan=single_gust, gust=GustKind.CALM, perturbed=False)
+        factor = flight.truth.series(np.arange(0, 12_000_000_000, 5_000_000)).load_factor
+        assert (sign * (factor - 1.0)).max() == pytest.approx(0.3, abs=0.01)
+
+
+def test_gusts_leave_an_aircraft_on_its_wheels_and_out_of_the_ground() -> None:
+    weather = dataclasses.replace(FAIR.weather, discrete_per_min=30.0, discrete_g=(0.6, 0.6), discrete_s=(1.4, 1.4))
+    t_s = np.arange(0.0, 64.0, 0.05)
+    for seed in range(20):
+        plan = circuit_plan(64.0)
+        gusts = gusty(plan, weather, np.random.default_rng(seed))
+        off_s, on_s = plan.airborne_s
+        assert len(gusts.pull_ups) > 5
+        on_wheels = (t_s < off_s) | (t_s > on_s)
+        np.testing.assert_allclose(altitude_m(gusts, t_s)[on_wheels], altitude_m(plan, t_s)[on_wheels], atol=1e-9)
+        assert altitude_m(gusts, t_s).min() >= altitude_m(plan, t_s).min() - 1e-9
 
 
 def test_a_ground_roll_stands_then_flies_and_its_wing_is_unloaded_on_the_wheels() -> None:

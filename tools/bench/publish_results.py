@@ -69,10 +69,9 @@ def _section(path: Path) -> str:
 
 
 def commit() -> str:
-    """Hash of the last commit of the code that runs, "unknown" without git."""
-    completed = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent, check=False
-    )
+    """Hash of the last commit of the code that runs, "unknown" without git; files changed since then make it dirty."""
+    described = ["git", "describe", "--always", "--exclude=*", "--dirty"]
+    completed = subprocess.run(described, capture_output=True, text=True, cwd=Path(__file__).parent, check=False)
     return completed.stdout.strip() or "unknown"
 
 

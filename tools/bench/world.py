@@ -6,7 +6,8 @@ are tasks as a fleet's are, for ``--workers`` processes or the Dask cluster of `
 so that a campaign can be stopped and resumed; ``--table`` only prints what is there. Parts of different commits never
 mix.
 
-trusted: share of the shots with texture from 15 s in the air on, with Wilson's 95 % interval; its target counts from
+trusted: share of the shots with texture from 15 s in the air on, with Wilson's 95 % interval for as many independent
+shots as their spread from flight to flight leaves; its target counts from
 what the ideal world's row reaches, for a pair that looks ahead has ranges to obstacles that are near enough only, and
 leaves out the share of shots whose stamps are wrong. toe: error of the relative toe at the cameras over all trusted
 shots in the air from 15 s on, rms in mrad; NEES, its standard error by flights (the shots of one flight share an error
@@ -50,12 +51,16 @@ _LEAST_TRUSTED = {"ideal": 0.9, "fair": 0.9, "tones": 0.9, "rough": 0.5}
 _NEES = (0.8, 1.25)
 _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
+_UNANSWERED_S = 0.6  # before a flight's end: shots whose pair and smoothed state are still to come (choice)
 _MOST_OVER_REFERENCE = 1.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pooled:
-    """All flights of one row: their judged shots by column, which of them settled, and the reasons to withhold."""
+    """All flights of one row: their judged shots by column, which of them settled, and the reasons to withhold.
+
+    ``failed`` flights left no shots; those that they should have had are among the ``expected``.
+    """
 
     row: CampaignRow
     seeds: tuple[int, ...]
@@ -66,6 +71,7 @@ class Pooled:
     airborne_s: Floats
     reasons: Counter[str]
     constants: tuple[dict[str, list[float]], ...]
+    failed: int = 0
 
     @property
     def flights(self) -> int:
@@ -103,8 +109,8 @@ class Pooled:
         return self.columns["toe"] - self.columns["true_toe"]
 
 
-def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
-    """Put the flights of a row together."""
+def pooled(row: CampaignRow, parts: list[dict[str, Any]], failed: int = 0) -> Pooled:
+    """Put the flights of a row together; of ``failed`` ones nothing came."""
     names = parts[0]["columns"]
     tables = [np.array(flown["judged"], dtype=np.float64).reshape(-1, len(names)) for flown in parts]
     aloft, airborne_s, expected = [], [], 0
@@ -114,18 +120,19 @@ def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
         airborne_s.append(t_s - flown["lift_off_s"])
         first_s = SETTLED_S + flown["lift_off_s"]
         # the last shots of a flight still wait for the smoother when it ends
-        last_s = min(flown["touch_down_s"], float(t_s[-1]) if len(t_s) else flown["touch_down_s"])
+        last_s = min(flown["touch_down_s"], flown["until_s"] - _UNANSWERED_S)
         expected += max(round((last_s - first_s) / flown["shot_s"]), 0)
     return Pooled(
         row,
         tuple(flown["seed"] for flown in parts),
-        expected,
+        round(expected * (1.0 + failed / len(parts))),
         np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)]),
         dict(zip(names, np.concatenate(tables).T, strict=True)),
         np.concatenate(aloft),
         np.concatenate(airborne_s),
         sum((Counter(flown["withheld"]) + Counter(flown["refused"]) for flown in parts), Counter()),
         tuple(flown["constants"] for flown in parts),
+        failed,
     )
 
 
@@ -137,7 +144,8 @@ def summary(group: Pooled) -> dict[str, float]:
     over = group.toe_error[good] / c["toe_sigma"][good]
     wrong, far = _off(group, "true_m")
     total = max(group.expected - int(np.sum(group.due & ~group.textured)), int(np.sum(group.awaited)))
-    low, high = wilson(published, total)
+    alike = _shots_alike(trusted[group.awaited].astype(np.float64), group.flight[group.awaited])
+    low, high = wilson(published / alike, total / alike)
     figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
                "published": int(np.sum(trusted)), "toe_mrad": 1e3 * rms(group.toe_error[good]),
                "nees": float(np.mean(over**2)) if len(over) else math.nan,
@@ -169,10 +177,18 @@ def _sigma_by_flights(values: Floats, flight: Floats) -> float:
     return float(math.sqrt(len(flown) / (len(flown) - 1) * np.sum(beside**2)) / len(values))
 
 
+def _shots_alike(trusted: Floats, flight: Floats) -> float:
+    """How many shots of a flight are worth one that is independent: the design effect of their share (Cochran)."""
+    ratio, sigma = float(np.mean(trusted)) if len(trusted) else 1.0, _sigma_by_flights(trusted, flight)
+    by_shots = ratio * (1.0 - ratio) / max(len(trusted), 1)
+    return sigma**2 / by_shots if by_shots > 0.0 and sigma > 0.0 else 1.0
+
+
 def missed(group: Pooled, figures: dict[str, float], near_enough: float = 1.0) -> list[str]:
     """Targets that a row misses; ``near_enough`` is the share that is trusted where only the distance is wrong."""
     possible = near_enough * (1.0 - group.row.accident.late_share)
     wrong = {
+        "failed": group.failed > 0,
         "trusted": figures["trusted"] < _LEAST_TRUSTED[group.row.world] * possible,
         "NEES": not _NEES[0] <= figures["nees"] <= _NEES[1],
         "3 sigma": not figures["inside_3"] >= _INSIDE_3_SIGMA,
@@ -231,9 +247,12 @@ def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
     groups = []
     for row in wanted:
         parts = [json.loads(path.read_text()) for path in sorted((folder / row.key).glob("*.json"))]
-        parts = [flown for flown in parts if not flown.get("failed")]
-        if parts and any(flown["judged"] for flown in parts):
-            groups.append(pooled(row, parts))
+        flights = [flown for flown in parts if not flown.get("failed")]
+        if any(flown["judged"] for flown in flights):
+            groups.append(pooled(row, flights, len(parts) - len(flights)))
+        elif parts:
+            reasons = {str(flown.get("failed", "no shot was judged")) for flown in parts}
+            raise SystemExit(f"{row.key}: no flight gave a shot: {'; '.join(sorted(reasons))}")
     return groups
 
 

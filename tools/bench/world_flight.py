@@ -93,7 +93,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     shots = list(judged_shots(flight, pair))
     stamped = [_stamped_late(as_stamped(matches, flight), row.accident, flight) for matches in shots]
     inputs = list(_too_fast(_lying(in_order(flight, stamped), row.accident), row.accident))
-    lands_s = flight.plan.rolls_on_ground[1].from_s if flight.plan.rolls_on_ground else flight.duration_s
+    lifts_s, lands_s = flight.plan.airborne_s
     outputs, learned = _outputs(flight, inputs, HOST_EPOCH_NS + round(lands_s * _S) - _TICK_NS)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
@@ -104,8 +104,9 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
         "sensors": row.sensors,
         "seed": row.seed(number),
         "shot_s": _SHOT_NS / _S,
-        "lift_off_s": flight.plan.rolls_on_ground[0].until_s if flight.plan.rolls_on_ground else 0.0,
+        "lift_off_s": lifts_s,
         "touch_down_s": lands_s,
+        "until_s": flight.duration_s,
         "columns": [*_COLUMNS, *PEERS],
         "judged": [[*entry, *(float(peers[name][i]) for name in PEERS)] for i, entry in enumerate(judged)],
         "withheld": dict(Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)),

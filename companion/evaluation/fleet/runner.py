@@ -6,6 +6,7 @@ which is given to another one once more. The results do not depend on the number
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -109,7 +110,8 @@ def _made(missing: deque[tuple[T, int]], work: Callable[[T], Row], count: int) -
             for worker in pool:
                 if worker.task is None and missing:
                     worker.task, worker.tries = missing.popleft()
-                    worker.line.send(worker.task)
+                    with contextlib.suppress(OSError):  # it has ended meanwhile: its line says so below
+                        worker.line.send(worker.task)
             for ready in wait([worker.line for worker in pool if worker.task is not None]):
                 place = next(i for i, worker in enumerate(pool) if worker.line is ready)
                 worker = pool[place]

@@ -45,12 +45,17 @@ class Roll:
 
 @dataclass(frozen=True, slots=True)
 class PullUp:
-    """Gain ``climb_mps`` within ``pull_s``, lose it within ``ease_s``, then sink back as gently."""
+    """Gain ``climb_mps`` (negative: sink) within ``pull_s``, lose it within ``ease_s``, then go back as gently."""
 
     from_s: float
     climb_mps: float = 2.2
     pull_s: float = 1.2
     ease_s: float = 4.0
+
+    @property
+    def until_s(self) -> float:
+        """When the flight is back on its height."""
+        return self.from_s + self.pull_s + 2.5 * self.ease_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +100,13 @@ class FlightPlan:
     yaw_wobble_rad: float = 0.008
     jolts: tuple[Jolt, ...] = ()
     rolls_on_ground: tuple[GroundRoll, ...] = ()
+
+    @property
+    def airborne_s(self) -> tuple[float, float]:
+        """From when until when it flies."""
+        off_s = [roll.until_s for roll in self.rolls_on_ground if not roll.landing]
+        on_s = [roll.from_s for roll in self.rolls_on_ground if roll.landing]
+        return max(off_s, default=0.0), min(on_s, default=self.duration_s)
 
 
 def demo_plan(duration_s: float = 60.0) -> FlightPlan:
@@ -177,6 +189,11 @@ def _smooth_step(t: Floats, start_s: float, length_s: float) -> Floats:
     rows = np.array([poly(u) * length_s ** (1 - order) for order, poly in enumerate(_TABLE)])
     rows[0] += np.maximum(t - start_s - length_s, 0.0)
     return rows
+
+
+def altitude_m(plan: FlightPlan, t_s: Floats) -> Floats:
+    """Height above the ground that is flown, without turbulence, (n,)."""
+    return np.asarray(_altitude(plan, t_s)[0])
 
 
 def _altitude(plan: FlightPlan, t: Floats) -> Floats:

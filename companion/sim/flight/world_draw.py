@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.params.airframe import Airframe, Camera, Sensor, Uncertain
 from companion.records import Floats, Station
-from companion.sim.flight.aircraft import FlightPlan, PullUp
+from companion.sim.flight.aircraft import FlightPlan, PullUp, altitude_m
 from companion.sim.flight.gauss_markov import between, wandering
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.perturb import TruthAirframe
@@ -25,10 +25,12 @@ from companion.units import GRAVITY_MPS2
 CRUISE_THROTTLE = 0.6
 """Share of full throttle in level flight, as the simulated autopilot has always reported it (choice)."""
 
-# throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost (derived)
+# throttle for a metre a second of climb (choice; 0.067 by 20 N of full thrust on 3 kg at 22 m/s)
 _CLIMB_PER_MPS = 0.06
 _FIX_S = 0.2  # time between two updates of a navigation filter by its GPS (ArduPilot's default GPS1_RATE_MS, 5 Hz)
 _NAVIGATION_S = 10.0  # correlation time of a navigation filter's velocity error (choice: some updates of its GPS)
+_LEAST_HEIGHT_M = 10.0  # that a gust downward leaves (choice)
+_LOOKS = 60  # along a gust, to find the least height: some five a second (choice)
 _LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles (choice)
 
 
@@ -40,15 +42,29 @@ def log_uniform(span: Span, rng: np.random.Generator) -> float:
 
 
 def gusty(plan: FlightPlan, weather: Weather, rng: np.random.Generator) -> FlightPlan:
-    """The plan with 1-cosine gusts: heave that lifts the load factor by the drawn amount within the drawn time."""
-    count = rng.poisson(weather.discrete_per_min * plan.duration_s / 60.0) if weather.discrete_per_min else 0
-    gusts = []
+    """The plan with 1-cosine gusts: heave that changes the load factor by the drawn amount within the drawn time.
+
+    Half of them go down, where the flight is high enough. An aircraft on its wheels feels none.
+    """
+    first_s, last_s = plan.airborne_s
+    count = rng.poisson(weather.discrete_per_min * (last_s - first_s) / 60.0) if weather.discrete_per_min else 0
     for _ in range(count):
         length_s = log_uniform(weather.discrete_s, rng)
         peak_mps2 = log_uniform(weather.discrete_g, rng) * GRAVITY_MPS2
+        from_s, up = float(rng.uniform(first_s, last_s)), bool(rng.random() < 0.5)
         # smoothstep's steepest place is 35/16 of its mean, so climb = peak * length / (35/16)
-        gusts.append(PullUp(float(rng.uniform(0.0, plan.duration_s)), 16.0 / 35.0 * peak_mps2 * length_s, length_s))
-    return dataclasses.replace(plan, pull_ups=(*plan.pull_ups, *gusts)) if gusts else plan
+        gust = PullUp(from_s, 16.0 / 35.0 * peak_mps2 * length_s, length_s)
+        if plan.rolls_on_ground and gust.until_s > last_s:
+            continue
+        down = dataclasses.replace(
+            plan, pull_ups=(*plan.pull_ups, dataclasses.replace(gust, climb_mps=-gust.climb_mps))
+        )
+        t_s = np.linspace(gust.from_s, gust.until_s, _LOOKS)
+        if up or altitude_m(down, t_s).min() < _LEAST_HEIGHT_M:
+            plan = dataclasses.replace(plan, pull_ups=(*plan.pull_ups, gust))
+        else:
+            plan = down
+    return plan
 
 
 def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:

@@ -203,7 +203,7 @@ FAIR = Conditions(
     ),
     weather=Weather(
         kinds=(GustKind.AIRFRAME, GustKind.DRYDEN),
-        # light to moderate turbulence: 0.1 to 0.3 g (FAA AIM table 7-1), chords of 10 to 30 m at 22 m/s (CS-23.333)
+        # chosen: light turbulence is below 0.5 g for a pilot; lengths of 10 to 30 m at 22 m/s (1-cosine, CS-23.333)
         discrete_per_min=2.0,
         discrete_g=(0.1, 0.3),
         discrete_s=(0.5, 1.4),
@@ -248,7 +248,8 @@ ROUGH = Conditions(
     weather=Weather(
         kinds=(GustKind.AIRFRAME, GustKind.DRYDEN, GustKind.WHITE),
         deflection_ratio=(1.0, 1.6),
-        # moderate to severe turbulence: 0.3 to 0.6 g (FAA AIM table 7-1)
+        # chosen: light to moderate turbulence, which pilots count from 0.5 to 1 g; the white spectrum is harder than
+        # air: a wing's lift rolls off at some 10 Hz, and tips would not have 20 to 70 m/s2 above 50 Hz
         discrete_per_min=6.0,
         discrete_g=(0.2, 0.6),
         discrete_s=(0.4, 1.4),
