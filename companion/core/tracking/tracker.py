@@ -24,6 +24,7 @@ from companion.core.tracking.estimates import (
     tip_output_matrix,
 )
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.first_moments import FirstMoments
 from companion.core.tracking.line_following import LineFollowing
 from companion.core.tracking.manoeuvre_error import ManoeuvreError
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
@@ -73,6 +74,7 @@ class WingTracker:
         self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
         self._row_noise, self._rows = RowNoise(self._noise), tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity, self.contradiction = Validity.SETTLING, Contradiction()
+        self._first_moments = FirstMoments()
         self._restart()
 
     def _restart(self) -> None:
@@ -85,10 +87,8 @@ class WingTracker:
         self._trial_epochs: list[Epochs] = []  # on which new parameters are tried
         self._trial_filter = self._kalman.fork(self._kalman.model)
         self._activity = ModalActivity(self._layout, adapts=bool(self._settings.adapt))
-        self._manoeuvre_error = ManoeuvreError()
-        self._blow = BlowWatch()
+        self._manoeuvre_error, self._blow, self._rare_gates = ManoeuvreError(), BlowWatch(), RareGates()
         self.contradiction.begin_anew()
-        self._rare_gates = RareGates()
         self._body_rates.clear()
         self._start_ns = None if self._start_ns is None else self._next_ns
 
@@ -189,10 +189,12 @@ class WingTracker:
         epochs = self._front_end.epochs(self._next_ns, self._step_ns, count)
         self._next_ns += count * self._step_ns
         for segment in self._adaptation.split(epochs, fits=bool(self._settings.adapt)):
+            self._first_moments.leave_out(segment)
             self._kalman.run(segment)
             passed_s = segment.length * self._step_s
             self.contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
-            if self.contradiction.too_long or not self._kalman.finite:
+            learned_wrongly = self._first_moments.contradict(self._kalman, segment.length, passed_s)
+            if learned_wrongly or self.contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
             self._activity.update(self._kalman, segment.length, self._step_s)
@@ -246,6 +248,7 @@ class WingTracker:
             if remaining := self._trial_epochs[new.segments :]:
                 new.tried.run(join(remaining))
             self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
+            self._refused |= self._first_moments.contradict_trial(new.tried, self._trial_epochs, self._step_s)
             if new.tried.nis < _FALLING * self._kalman.nis:
                 self.contradiction.mend()  # a load that has grown is known now, and the state follows
             if self._refused:
@@ -381,9 +384,8 @@ class WingTracker:
         if (body_rate_radps := self._body_rates.at(int(step) - kalman.steps, fraction)) is None:
             return Reject.STALE
         smoothed = smooth_between(kalman, int(step), fraction)
-        estimate = tip_estimate(
-            self._layout, self._rows, smoothed, kalman.bias_parameters, kalman.bias_parameter_covariance
-        )
+        bias = kalman.bias_parameters, kalman.bias_parameter_covariance
+        estimate = tip_estimate(self._layout, self._rows, smoothed, *bias)
         return Deflection(
             t_host_ns=t_host_ns,
             q_m=estimate.values[:2],
@@ -394,7 +396,5 @@ class WingTracker:
             lag_ns=self._next_ns - t_host_ns,
             slow_slope_sigma_rad=estimate.slow_slope_sigma_rad,
             fast_slope_time_s=fast_slope_time_s(kalman, self._rows[4:], int(step)),
-            manoeuvre_slope_sigma_rad=self._manoeuvre_error.sigma_rad(
-                t_host_ns, estimate.slope_by_bias, kalman.bias_parameter_covariance
-            ),
+            manoeuvre_slope_sigma_rad=self._manoeuvre_error.sigma_rad(t_host_ns, estimate.slope_by_bias, bias[1]),
         )
