@@ -193,8 +193,8 @@ class WingTracker:
             self._kalman.run(segment)
             passed_s = segment.length * self._step_s
             self.contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
-            learned_wrongly = self._first_moments.contradict(self._kalman, segment.length, passed_s)
-            if learned_wrongly or self.contradiction.too_long or not self._kalman.finite:
+            left_out = self._first_moments.contradict(self._kalman, segment.length, passed_s)
+            if (left_out and self._adaptation.early) or self.contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
             self._activity.update(self._kalman, segment.length, self._step_s)
