@@ -73,8 +73,7 @@ class WingTracker:
         self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
         self._row_noise, self._rows = RowNoise(self._noise), tip_output_matrix(self._layout, slope_rows(self._layout))
-        self._validity, self.contradiction = Validity.SETTLING, Contradiction()
-        self._first_moments = FirstMoments()
+        self._validity, self.contradiction, self._first_moments = Validity.SETTLING, Contradiction(), FirstMoments()
         self._restart()
 
     def _restart(self) -> None:
@@ -193,7 +192,8 @@ class WingTracker:
             self._kalman.run(segment)
             passed_s = segment.length * self._step_s
             self.contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
-            left_out = self._first_moments.contradict(self._kalman, segment.length, passed_s)
+            fitted = self._adaptation.fits > 1  # a gust that is only believed may change otherwise inside an epoch
+            left_out = fitted and self._first_moments.contradict(self._kalman, segment.length, passed_s)
             if (left_out and self._adaptation.early) or self.contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
