@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 
 from companion.adapters.cameras import camera_factory as cameras
-from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
+from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.live_view import add_live, read_live
 from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, check_ending, read_settings, state_file
@@ -90,7 +90,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         raise ConfigError("--record-images needs --record and --cameras")
     trigger = simulated_trigger(options.trigger) or triggers.trigger_factory(options.trigger)
     airframe = _with_kept_latency(load_airframe(options.airframe), options)
-    build_mapping(airframe)  # refuses here what would stop every process of the service
+    settings = read_settings(options)
+    check_airframe(airframe, settings)
     eyes = None
     if options.cameras is not None:
         soft = soft_line(trigger)
@@ -99,7 +100,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         )
     return ServiceConfig(
         airframe=airframe,
-        settings=read_settings(options),
+        settings=settings,
         connections=tuple(options.connect),
         cameras=eyes,
         trigger=trigger,

@@ -15,6 +15,8 @@ from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import dump_airframe, load_airframe
 
+AIRFRAMES = Path(__file__).resolve().parents[2] / "config" / "airframes"
+
 
 @pytest.mark.parametrize("link", [False, True])
 def test_a_recording_is_not_overwritten_by_what_is_made_of_it(tmp_path: Path, *, link: bool) -> None:
@@ -223,3 +225,32 @@ def test_run_refuses_an_airframe_that_no_process_could_read_messages_for(
     wing.write_text(dump_airframe(load_airframe("nadir-2m")).replace("component = 201", "component = 200"))
     assert main(["run", "--connect", "udpin:127.0.0.1:0", "--airframe", str(wing), "--for", "1"]) == 1
     assert "has the same source as left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "--connect", "udpin:127.0.0.1:0", "--for", "1"),
+        ("doctor", "--connect", "udpin:127.0.0.1:0", "--fix"),
+        ("setup", "wing", "--connect", "sim"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("orientation = 25", "orientation = 5", "is not along a body axis"),
+        ("orientation = 25", "orientation = 0", "is not where the cameras look"),
+        ("[right_camera]", "[right_camera]\nrow_time_s = 2e-5", "row_time_s of the cameras differ"),
+        ("[left_camera]", "[left_camera]\ndistortion = [-0.9, 0.0, 0.0, 0.0, 0.0]", "folds the image"),
+        ("[left_camera]", "[left_camera]\nrotation_rad = [0.0, 0.9, 0.0]", "more than 45 degrees apart"),
+    ],
+)
+def test_cameras_that_no_process_could_use_are_refused_before_anything_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], before: str, after: str, sentence: str
+) -> None:
+    wing = tmp_path / "wing.toml"
+    wing.write_text((AIRFRAMES / "nadir-2m.toml").read_text().replace(before, after))
+    assert main([*command, "--airframe", str(wing)]) == 1
+    said = capsys.readouterr()
+    assert sentence in said.err
+    assert said.out == ""
