@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.cameras.folder import list_images, read_grey
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.calibration.attitudes import find_attitudes
 from companion.calibration.boards import Board
@@ -197,7 +198,7 @@ def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
-    pair, recording = base.camera_pair, open_recording(options.recording, base)
+    pair, recording = base.camera_pair, McapRecording(options.recording)  # with the airframe that flew it
     if recording.airframe.name != base.name:
         raise ConfigError(
             f"{options.recording}: recorded by airframe '{recording.airframe.name}', not by '{base.name}'; "

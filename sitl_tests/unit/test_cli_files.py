@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
+from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.cli.run import _recorded, _recordings
 from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import dump_airframe, load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName
 
 AIRFRAMES = Path(__file__).resolve().parents[2] / "config" / "airframes"
 
@@ -196,12 +198,19 @@ def test_a_simulated_flight_does_not_replace_what_was_measured(
 
 
 def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = SimpleNamespace(airframe=load_airframe("forward-2m"))
-    monkeypatch.setattr("companion.cli.calibrate.open_recording", lambda *_: recording)
-    assert main(["calibrate", "latency", "flight.mcap", "--airframe", "nadir-2m", "--out", str(tmp_path)]) == 1
+    flight = _empty_recording(tmp_path / "flight.mcap", "forward-2m")
+    command = ["calibrate", "latency", str(flight), "--out", str(tmp_path), "--airframe"]
+    assert main([*command, "nadir-2m"]) == 1
     assert "recorded by airframe 'forward-2m', not by 'nadir-2m'" in capsys.readouterr().err
+    assert main([*command, "forward-2m"]) == 1
+    assert "only 0 shots" in capsys.readouterr().err
+
+
+def _empty_recording(path: Path, airframe: str) -> Path:
+    McapWriter(path, About.of(load_airframe(airframe), Settings(), ClockName.HOST)).close()
+    return path
 
 
 def test_a_calibration_goes_on_from_the_earlier_or_leaves_it(
