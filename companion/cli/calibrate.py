@@ -22,7 +22,7 @@ from companion.calibration.stereo_rig import CELLS, RigFit, calibrate_rig, find_
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
-from companion.cli.steps.options import check_output, result_folder
+from companion.cli.steps.options import check_earlier, check_output, result_folder
 from companion.errors import ConfigError
 from companion.evaluation.metrics import rms
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
@@ -83,7 +83,7 @@ def execute(options: argparse.Namespace) -> int:
     path = options.out / "airframe.toml"
     with result_folder(options.out):
         check_output(path, "--out")
-        _check_earlier(path, options.airframe)
+        check_earlier(path, options.airframe)
         airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
         path.write_text(_text(airframe, path), encoding="utf-8")
     print(f"wrote {path}")
@@ -95,16 +95,6 @@ def _text(airframe: Airframe, path: Path) -> str:
     text = dump_airframe(airframe)
     parse_airframe(text, f"{path}, not written")
     return text
-
-
-def _check_earlier(path: Path, airframe: str) -> None:
-    """Refuse to write over an earlier result that this one does not go on from."""
-    base = Path(airframe)
-    if path.exists() and not (base.exists() and base.samefile(path)):
-        raise ConfigError(
-            f"{path}: exists already, and what was calibrated in it would be lost; "
-            f"give --airframe {path} to go on from it, or name another folder (--out)"
-        )
 
 
 def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:

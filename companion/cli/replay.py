@@ -23,6 +23,7 @@ from companion.cli.steps.options import (
     add_recording,
     add_settings,
     check_ending,
+    check_new,
     check_output,
     open_given,
     read_settings,
@@ -102,13 +103,14 @@ def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
     check_output(options.out, "--out", [options.recording])
     check_ending(options.out, "--out", ".mcap")
+    check_new(options.out, "--out")
     recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
-    writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
+    writer: McapWriter | None = None
     same_beliefs = not options.airframe and settings == recording.settings
     recorded = _published(recording) if same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
@@ -119,7 +121,8 @@ def execute(options: argparse.Namespace) -> int:
             counters.take(output)
             if show is not None:
                 show.publish(output)
-            if writer is not None:
+            if options.out is not None:  # not before the replay has begun: one that cannot leaves no file
+                writer = writer or McapWriter(options.out, About.of(recording.airframe, settings, recording.hub))
                 writer.write(output)
             if recorded is not None and isinstance(output, _OUTPUTS):
                 comparison.compare(next(recorded, None), output, lossy=_lossy(recording))

@@ -90,10 +90,29 @@ def test_an_interrupted_demo_leaves_no_result_of_another_flight(
         raise ConfigError("stopped")
 
     monkeypatch.setattr("companion.cli.demo._flown", stopped)
-    for name in ("flight.mcap", "summary.png", "summary.json"):
+    for name in ("demo.txt", "flight.mcap", "summary.png", "summary.json"):
         (tmp_path / name).write_text("of the last flight")
     assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.txt"]
+    assert "2 s of nadir-2m" in (tmp_path / "demo.txt").read_text()
+
+
+@pytest.mark.parametrize("name", ["flight.mcap", "summary.json"])
+def test_a_demo_leaves_files_that_no_demo_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    (tmp_path / name).write_text("of a real flight")
+    assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert f"holds a {name} that no demo wrote" in capsys.readouterr().err
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "of a real flight"}
+
+
+def test_a_demo_replaces_one_from_before_they_left_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object) -> None:
+        raise ConfigError("stopped")
+
+    monkeypatch.setattr("companion.cli.demo._flown", stopped)
+    (tmp_path / "summary.json").write_text('{"toe_error_mrad": {}}')
+    assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert not (tmp_path / "summary.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -101,6 +120,10 @@ def test_an_interrupted_demo_leaves_no_result_of_another_flight(
     [
         (["report", "flight.mcap", "--out"], ".html"),
         (["replay", "flight.mcap", "--out"], ".mcap"),
+        (["diagnose", "flight.mcap", "--html"], ".html"),
+        (["diagnose", "flight.mcap", "--json"], ".json"),
+        (["diagnose", "flight.mcap", "--apply"], ".toml"),
+        (["params", "--xml"], ".xml"),
         (["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--record"], ".mcap"),
     ],
 )
@@ -263,3 +286,37 @@ def test_cameras_that_no_process_could_use_are_refused_before_anything_is_opened
     said = capsys.readouterr()
     assert sentence in said.err
     assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "ending"),
+    [(["replay", "--out"], ".mcap"), (["diagnose", "--airframe", "nadir-2m", "--apply"], ".toml")],
+)
+def test_a_file_of_another_flight_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], ending: str
+) -> None:
+    recording, other = _empty_recording(tmp_path / "flight.mcap", "nadir-2m"), tmp_path / f"precious{ending}"
+    other.write_text("as it was")
+    assert main([command[0], str(recording), *command[1:], str(other)]) == 1
+    assert "exists already, and would be lost" in capsys.readouterr().err
+    assert other.read_text() == "as it was"
+
+
+def test_a_replay_that_cannot_begin_leaves_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "accel.csv").write_text("t_s,root_z_mps2,left_z_mps2\n0.0,x,1.0\n")
+    out = tmp_path / "out.mcap"
+    assert main(["replay", str(tmp_path), "--airframe", "nadir-2m", "--out", str(out)]) == 1
+    assert "line 2" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_identification_goes_on_from_the_earlier_or_leaves_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier = tmp_path / "airframe.toml"
+    earlier.write_text(dump_airframe(load_airframe("nadir-2m")))
+    monkeypatch.setattr("companion.cli.identify._from_flight", lambda *_: 0)
+    command = ["identify", "flight", "flight.mcap", "--out", str(tmp_path)]
+    assert main(command) == 1
+    assert f"give --airframe {earlier} to go on" in capsys.readouterr().err
+    assert main([*command, "--airframe", str(earlier)]) == 0
