@@ -13,7 +13,7 @@ from companion.cli.doctor import diagnose
 from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.numbers import integer, number, seconds
 from companion.cli.steps.options import add_settings, read_settings
-from companion.cli.steps.wing_guide import GuideStep, WingGuide
+from companion.cli.steps.wing_guide import SAMPLES, GuideStep, WingGuide
 from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View
 from companion.doctor.examine import Examination
@@ -66,6 +66,8 @@ def execute(options: argparse.Namespace) -> int:
         if not _can(name, options):
             raise ConfigError(f"--step {name}: needs {'--cameras and --square-m' if name == 'stereo' else '--cameras'}")
     results = _on_the_bench([name for name in steps if name in BENCH_STEPS], airframe, settings, options)
+    if results and results[-1].name == SAMPLES:
+        return _summary(results, steps)
     flown = options.airframe
     if "stereo" in steps:
         results += _stereo(options)
@@ -101,6 +103,8 @@ def _on_the_bench(
             for step in getattr(guide, name)():
                 _show(step)
                 results.append(step)
+            if results and results[-1].name == SAMPLES:
+                break
     finally:
         guide.close()
     return results
