@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import itertools
 import json
@@ -13,11 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.codec import plain_values
 from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
 from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.options import (
     add_recording,
@@ -51,6 +54,7 @@ from companion.records import (
     TriggerPlan,
     Validity,
 )
+from companion.units import Severity
 
 _OUTPUTS = (ModeState, TriggerPlan, Deflection, CorrectedRange, NoRange, ObstacleSectors, ServiceStatus)
 
@@ -163,12 +167,18 @@ def _replayed(
     progress: Progress,
     show: PacedView | None,
 ) -> Iterator[Record]:
-    records = recording.records() if show is None else show.with_images(recording.records())
+    records = _from_zero(recording) if show is None else show.with_images(_from_zero(recording))
     inputs = own_inputs(records, recording.airframe, settings) if _is_ours(recording) else foreign_inputs(records)
+    first = next(inputs, None)
+    if first is None and isinstance(recording, McapRecording):
+        raise RecordingError(
+            f"{recording.path}: holds no inputs (what came over the links), as what `replay --out` wrote; "
+            "replay the recording that it was made from"
+        )
     hub = None if recording.hub is ClockName.HOST else recording.hub
 
     def watched() -> Iterator[Record]:
-        for record in inputs:
+        for record in itertools.chain(() if first is None else (first,), inputs):
             if isinstance(record, ImuBatch):
                 stations.add(record)
                 counters.sampled()
@@ -179,6 +189,19 @@ def _replayed(
             yield record
 
     return drive(watched(), recording.airframe, settings, hub)
+
+
+def _from_zero(recording: Recording) -> Iterator[Recordable]:
+    """Records of a recording; of tables whose time begins before 0, where the pipeline's does, later by as much."""
+    streams = recording.streams if isinstance(recording, CsvRecording) else ()
+    later_ns = -min((int(stream.t_ns.min(initial=0)) for stream in streams), default=0)
+    if not later_ns or not isinstance(recording, CsvRecording):
+        return recording.records()
+    recording.say(f"t_s begins at {-1e-9 * later_ns:g} s; replayed as from 0", severity=Severity.INFO)
+    return (
+        dataclasses.replace(batch, t_ns=batch.t_ns + later_ns, received_host_ns=batch.received_host_ns + later_ns)
+        for batch in recording.records()
+    )
 
 
 def _is_ours(recording: Recording) -> TypeGuard[McapRecording]:
