@@ -80,6 +80,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
     check_ending(options.record, "--record", ".mcap")
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
+    if options.record is not None and options.record.is_dir():
+        raise ConfigError(f"--record {options.record}: is a folder; name a file in it, such as flight.mcap")
     if len(set(options.connect)) < len(options.connect):
         raise ConfigError(f"--connect {' --connect '.join(options.connect)}: the same link twice; name each once")
     if options.record_keep is not None and options.record is None:

@@ -159,9 +159,17 @@ def test_an_effect_of_no_finite_size_is_refused(tmp_path: Path, capsys: pytest.C
     assert not where.exists()
 
 
+def test_an_effect_of_a_size_that_nothing_has_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["simulate", "--duration", "2", "--out", str(tmp_path), "--effect"]
+    assert main([*command, "frequency-shift=1e300"]) == 1
+    assert "ratio is 1e+300, and must be within 100000 from 0" in capsys.readouterr().err
+    assert main([*command, "clock-skew=0.01"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--record", "."], "is a folder"),
         (["demo", "--flights", "3"], "--flights is of --landing"),
         (["setup", "--dry-run", "--airframe", "no-such-wing", "--link", "serial:/dev/ttyAMA0:921600"], "no-such-wing"),
     ],
