@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C or SIGTERM (or for the given time)."""
+    """Run until Ctrl-C, SIGTERM or SIGHUP (or for the given time)."""
     config = service_config(options)
     try_devices(config)
     return serve(config, options)
@@ -187,8 +187,9 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     """Run it in the foreground, and say at the end how it stood; 3 where no vehicle came in the time that was given."""
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []
-    for ending in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ending, lambda caught, _: stopped.append(caught))
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if ending is not signal.SIGHUP or signal.getsignal(ending) is not signal.SIG_IGN:  # as nohup asks for
+            signal.signal(ending, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}", options.seconds)
     live = live_view_possible(plain=options.plain)
     began, before = time.monotonic(), _recordings(config.recording)
