@@ -163,6 +163,8 @@ def test_an_effect_of_a_size_that_nothing_has_is_refused(tmp_path: Path, capsys:
     command = ["simulate", "--duration", "2", "--out", str(tmp_path), "--effect"]
     assert main([*command, "frequency-shift=1e300"]) == 1
     assert "ratio is 1e+300, and must be within 100000 from 0" in capsys.readouterr().err
+    assert main([*command, "exposure-delay=10"]) == 1
+    assert "the exposures lie outside the flight" in capsys.readouterr().err
     assert main([*command, "clock-skew=0.01"]) == 0
 
 
