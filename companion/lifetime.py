@@ -69,7 +69,7 @@ class SharedCount:
 
 
 def die_with_parent(*, watch: bool = True) -> None:
-    """End this process by SIGTERM when its parent dies; Ctrl-C, which reaches all of them, is the parent's to handle.
+    """End this process by SIGTERM when its parent dies; Ctrl-C and a terminal that closes are the parent's to handle.
 
     The kernel sends the signal where it can. With ``watch`` a thread looks too, five times a second, for other systems,
     for a parent that died before the kernel was asked, and for a process that does not obey. A process that
@@ -78,7 +78,8 @@ def die_with_parent(*, watch: bool = True) -> None:
     parent = multiprocessing.parent_process()
     if parent is None or parent.pid is None:
         return
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):  # reach the whole group
+        signal.signal(number, signal.SIG_IGN)
     process_control(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if watch:
         threading.Thread(target=_watch, args=(parent.pid,), name="parent-watch", daemon=True).start()

@@ -19,13 +19,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
+from companion.cli.steps.numbers import seconds
 from companion.params.airframe import Airframe
 from companion.units import Orientation
 from mission_scripts.common.airframe_advice import advise, baseline_m
 from mission_scripts.common.convergence import Group, estimate, group
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.legs import back_and_forth, flight_time_s
-from mission_scripts.common.options import parser_for
+from mission_scripts.common.options import degrees, height, metres, parser_for
 from mission_scripts.common.outcome import Exit, Refused
 from mission_scripts.common.places import CLIMB_TO, LOITER, WAYPOINT, Place, Route, parse_place
 from mission_scripts.common.run import run
@@ -45,24 +46,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = parser_for("calibrate_target", __doc__ or "")
     target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("--ground", type=float, metavar="M", help="height of the level ground above home")
-    target.add_argument("--still", type=float, metavar="M", help="measured distance; nothing is commanded")
+    target.add_argument("--ground", type=height, metavar="M", help="height of the level ground above home")
+    target.add_argument("--still", type=metres, metavar="M", help="measured distance; nothing is commanded")
     target.add_argument("--mark", type=parse_place, metavar="LAT,LON", help="place of an obstacle")
-    parser.add_argument("--known-sigma", type=float, default=0.3, metavar="M", help="of the known distance, 1 sigma")
-    parser.add_argument("--heights", type=float, nargs="+", default=[40.0, 60.0, 90.0], metavar="M", help="above home")
-    parser.add_argument("--bearing", type=float, metavar="DEG", help="of the legs (default: the present heading)")
-    parser.add_argument("--length", type=float, default=350.0, metavar="M", help="of each leg")
+    parser.add_argument("--known-sigma", type=metres, default=0.3, metavar="M", help="of the known distance, 1 sigma")
+    parser.add_argument("--heights", type=height, nargs="+", default=[40.0, 60.0, 90.0], metavar="M", help="above home")
+    parser.add_argument("--bearing", type=degrees, metavar="DEG", help="of the legs (default: the present heading)")
+    parser.add_argument("--length", type=metres, default=350.0, metavar="M", help="of each leg")
     parser.add_argument(
         "--turn-off",
-        type=float,
+        type=metres,
         default=60.0,
         metavar="M",
         help=f"with --mark: nearest approach, {_LEAST_TURN_OFF_M:g} or more",
     )
-    parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="with --still: how long to gather")
+    parser.add_argument("--seconds", type=seconds, default=30.0, metavar="S", help="with --still: how long to gather")
     options = parser.parse_args(arguments)
-    if options.known_sigma <= 0:
-        parser.error("--known-sigma must be positive: no distance is known exactly")
     if options.turn_off < _LEAST_TURN_OFF_M:
         parser.error(f"--turn-off {options.turn_off:g}: {_LEAST_TURN_OFF_M:g} m at least, a turn needs that room")
     return run(options, calibrate)

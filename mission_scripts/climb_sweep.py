@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.legs import Leg, back_and_forth, flight_time_s
-from mission_scripts.common.options import parser_for
+from mission_scripts.common.options import degrees, height, metres, parser_for
 from mission_scripts.common.outcome import Exit
 from mission_scripts.common.run import run
 from mission_scripts.common.watch import Range
@@ -27,10 +27,10 @@ _HEIGHT_OFF_M = 5.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = parser_for("climb_sweep", __doc__ or "")
-    parser.add_argument("--heights", type=float, nargs="+", default=[30.0, 50.0, 70.0, 100.0], metavar="M")
-    parser.add_argument("--bearing", type=float, metavar="DEG", help="of the legs (default: the present heading)")
-    parser.add_argument("--length", type=float, default=350.0, metavar="M", help="of each leg")
-    parser.add_argument("--ground", type=float, default=0.0, metavar="M", help="height of the ground above home")
+    parser.add_argument("--heights", type=height, nargs="+", default=[30.0, 50.0, 70.0, 100.0], metavar="M")
+    parser.add_argument("--bearing", type=degrees, metavar="DEG", help="of the legs (default: the present heading)")
+    parser.add_argument("--length", type=metres, default=350.0, metavar="M", help="of each leg")
+    parser.add_argument("--ground", type=height, default=0.0, metavar="M", help="height of the ground above home")
     parser.add_argument("--no-ranges", action="store_true", help="fly without a service that sends ranges")
     options = parser.parse_args(arguments)
     if not options.floor < min(options.heights) <= max(options.heights) < options.ceiling:

@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from companion.cli.steps.numbers import seconds
 from mission_scripts.common.flight import Flight
-from mission_scripts.common.options import parser_for
+from mission_scripts.common.options import count, degrees, height, millimetres, parser_for, speed
 from mission_scripts.common.outcome import Aborted, Exit
 from mission_scripts.common.places import Place
 from mission_scripts.common.run import run
@@ -39,16 +40,16 @@ _FEW, _GROWN, _LEAST_MM = 5, 2.0, 10.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = parser_for("excite_wing", __doc__ or "")
-    parser.add_argument("--airspeeds", type=float, nargs="+", default=[18.0, 20.0, 22.0], metavar="M/S")
-    parser.add_argument("--doublets", type=int, default=3, metavar="N", help="of each kind at each airspeed")
-    parser.add_argument("--pitch", type=float, default=6.0, metavar="DEG", help="either side of level flight")
-    parser.add_argument("--roll", type=float, default=15.0, metavar="DEG", help="either side of level flight")
-    parser.add_argument("--half", type=float, default=0.35, metavar="S", help="length of each half of a doublet")
-    parser.add_argument("--rest", type=float, default=3.0, metavar="S", help="still controls after each doublet")
-    parser.add_argument("--height", type=float, metavar="M", help="above home (default: where it is)")
-    parser.add_argument("--bend-limit", type=float, default=60.0, metavar="MM", help="of the tips, as the service says")
+    parser.add_argument("--airspeeds", type=speed, nargs="+", default=[18.0, 20.0, 22.0], metavar="M/S")
+    parser.add_argument("--doublets", type=count, default=3, metavar="N", help="of each kind at each airspeed")
+    parser.add_argument("--pitch", type=degrees, default=6.0, metavar="DEG", help="either side of level flight")
+    parser.add_argument("--roll", type=degrees, default=15.0, metavar="DEG", help="either side of level flight")
+    parser.add_argument("--half", type=seconds, default=0.35, metavar="S", help="length of each half of a doublet")
+    parser.add_argument("--rest", type=seconds, default=3.0, metavar="S", help="still controls after each doublet")
+    parser.add_argument("--height", type=height, metavar="M", help="above home (default: where it is)")
+    parser.add_argument("--bend-limit", type=millimetres, default=60.0, metavar="MM", help="of tips, by the service")
     options = parser.parse_args(arguments)
-    if list(options.airspeeds) != sorted(set(options.airspeeds)) or options.airspeeds[0] <= 0:
+    if list(options.airspeeds) != sorted(set(options.airspeeds)):
         parser.error("--airspeeds must increase: the slowest comes first")
     if not (0 < options.pitch <= 15 and 0 < options.roll <= 40 and 0.1 <= options.half <= 1.0):
         parser.error("--pitch up to 15, --roll up to 40 degrees, --half from 0.1 to 1 s")

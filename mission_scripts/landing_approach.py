@@ -14,10 +14,11 @@ import sys
 import time
 from collections.abc import Sequence
 
+from companion.cli.steps.numbers import seconds
 from companion.units import Orientation
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
-from mission_scripts.common.options import parser_for
+from mission_scripts.common.options import degrees, height, metres, parser_for
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Refused, Response
 from mission_scripts.common.places import CLIMB_TO, LAND, LOITER, WAYPOINT, Route, parse_place
 from mission_scripts.common.run import run
@@ -35,22 +36,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     base = Tolerance()
     parser = parser_for("landing_approach", __doc__ or "")
     parser.add_argument("--aim", type=parse_place, metavar="LAT,LON", help="aim point (default: where it is)")
-    parser.add_argument("--bearing", type=float, metavar="DEG", help="of the approach (default: the present heading)")
-    parser.add_argument("--slope", type=float, default=5.0, metavar="DEG", help="of the descent")
-    parser.add_argument("--height", type=float, default=80.0, metavar="M", help="where the descent begins")
-    parser.add_argument("--gate", type=float, default=55.0, metavar="M", help="below it the range must be good")
-    parser.add_argument("--decision", type=float, default=20.0, metavar="M", help="low pass, or go-around height")
+    parser.add_argument("--bearing", type=degrees, metavar="DEG", help="of the approach (default: the present heading)")
+    parser.add_argument("--slope", type=degrees, default=5.0, metavar="DEG", help="of the descent")
+    parser.add_argument("--height", type=metres, default=80.0, metavar="M", help="where the descent begins")
+    parser.add_argument("--gate", type=metres, default=55.0, metavar="M", help="below it the range must be good")
+    parser.add_argument("--decision", type=metres, default=20.0, metavar="M", help="low pass, or go-around height")
     parser.add_argument(
-        "--ground", type=float, default=0.0, metavar="M",
+        "--ground", type=height, default=0.0, metavar="M",
         help="height of the ground above home; the other heights of the approach are above this ground",
     )  # fmt: skip
     parser.add_argument("--terrain", action="store_true", help="expect TERRAIN_REPORT's height instead of home's")
     parser.add_argument("--land", action="store_true", help="land after the decision height")
-    parser.add_argument("--stale", type=float, default=base.stale_s, metavar="S", help="silence that ends it")
-    parser.add_argument("--blind", type=float, default=base.blind_s, metavar="S", help="without trusted range")
-    parser.add_argument("--jump", type=float, default=base.jump_m, metavar="M", help="that ends it")
+    parser.add_argument("--stale", type=seconds, default=base.stale_s, metavar="S", help="silence that ends it")
+    parser.add_argument("--blind", type=seconds, default=base.blind_s, metavar="S", help="without trusted range")
+    parser.add_argument("--jump", type=metres, default=base.jump_m, metavar="M", help="that ends it")
     parser.add_argument(
-        "--apart", type=float, default=base.apart_m, metavar="M", help="from what is expected, plus 5 %%"
+        "--apart", type=metres, default=base.apart_m, metavar="M", help="from what is expected, plus 5 %%"
     )
     options = parser.parse_args(arguments)
     if not 10.0 <= options.decision < options.gate < options.height:

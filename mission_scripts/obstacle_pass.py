@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from companion.units import Orientation
 from mission_scripts.common.flight import Flight
-from mission_scripts.common.options import parser_for
+from mission_scripts.common.options import degrees, height, metres, parser_for
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
 from mission_scripts.common.places import CLIMB_TO, LOITER, WAYPOINT, Place, Route, parse_place
 from mission_scripts.common.run import run
@@ -34,18 +34,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_for("obstacle_pass", __doc__ or "")
     parser.set_defaults(airframe="forward-2m")
     parser.add_argument("--obstacle", type=parse_place, required=True, metavar="LAT,LON", help="where it stands")
-    parser.add_argument("--bearing", type=float, required=True, metavar="DEG", help="of the pass")
+    parser.add_argument("--bearing", type=degrees, required=True, metavar="DEG", help="of the pass")
     parser.add_argument(
         "--aside", type=_aside, default=30.0, metavar="M", help="clearance; the aircraft stays on its left"
     )
-    parser.add_argument("--length", type=float, default=300.0, metavar="M", help="before and after the obstacle")
-    parser.add_argument("--height", type=float, metavar="M", help="above home (default: where it is)")
-    parser.add_argument("--least", type=float, default=30.0, metavar="M", help="nearest range ahead that is allowed")
+    parser.add_argument("--length", type=metres, default=300.0, metavar="M", help="before and after the obstacle")
+    parser.add_argument("--height", type=height, metavar="M", help="above home (default: where it is)")
+    parser.add_argument("--least", type=metres, default=30.0, metavar="M", help="nearest range ahead that is allowed")
     return run(parser.parse_args(arguments), fly_past)
 
 
 def _aside(text: str) -> float:
-    value = float(text)
+    value = metres(text)
     if value < 15:
         raise ArgumentTypeError("less than 15 m is no pass but a collision course")
     return value

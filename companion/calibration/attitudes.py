@@ -14,7 +14,7 @@ from companion.calibration.mounting import Attitude
 from companion.core.clock.bank import ClockBank
 from companion.core.stereo.geometry import Lens, MountedCamera
 from companion.core.stereo.rotation import exp_rotation
-from companion.errors import ConfigError
+from companion.errors import ConfigError, RecordingError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, Frame, FramePair, Ints, Record, Side, Station, TimesyncReply
 
@@ -49,6 +49,8 @@ def find_attitudes(
     ------
     ConfigError
         The airframe has no such camera.
+    RecordingError
+        The recording has no image of it.
     """
     camera = airframe.left_camera if side is Side.LEFT else airframe.right_camera
     if camera is None:
@@ -73,6 +75,11 @@ def find_attitudes(
             refused[name] = f"the board fits the calibrated lens only to {error_px:.2f} px"
             continue
         attitudes.append(Attitude(name, up, rotation))
+    if first_ns is None:
+        raise RecordingError(
+            f"no image of the {side.name.lower()} camera whose clock is synced is in the recording; "
+            "record with --record-images"
+        )
     return attitudes, refused
 
 

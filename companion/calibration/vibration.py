@@ -119,7 +119,10 @@ def _run(
 ) -> FrequencyResponse:
     path = folder / str(entry["file"])
     signals, pushed, answering = _signals(path, layout, read_matlab)
-    low, high = layout["band_hz"]
+    band_hz = layout["band_hz"]
+    if not (isinstance(band_hz, list) and len(band_hz) == 2 and all(isinstance(end, int | float) for end in band_hz)):
+        raise ValueError("band_hz must be two frequencies, as [4.0, 35.5]")
+    low, high = band_hz
     if not 0.0 < float(layout["rate_hz"]) <= _FASTEST_HZ:
         raise ValueError(f"rate_hz must be above 0 and at most {_FASTEST_HZ:g}")
     if not 0.0 <= float(low) < float(high) <= 0.5 * float(layout["rate_hz"]):

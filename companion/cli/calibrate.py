@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.cameras.folder import list_images, read_grey
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.calibration.attitudes import find_attitudes
 from companion.calibration.boards import Board
@@ -21,7 +22,7 @@ from companion.calibration.stereo_rig import CELLS, RigFit, calibrate_rig, find_
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.steps.numbers import integer, number, seconds, seed
-from companion.cli.steps.options import check_output, result_folder
+from companion.cli.steps.options import check_earlier, check_output, result_folder
 from companion.errors import ConfigError
 from companion.evaluation.metrics import rms
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
@@ -82,7 +83,7 @@ def execute(options: argparse.Namespace) -> int:
     path = options.out / "airframe.toml"
     with result_folder(options.out):
         check_output(path, "--out")
-        _check_earlier(path, options.airframe)
+        check_earlier(path, options.airframe)
         airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
         path.write_text(_text(airframe, path), encoding="utf-8")
     print(f"wrote {path}")
@@ -94,16 +95,6 @@ def _text(airframe: Airframe, path: Path) -> str:
     text = dump_airframe(airframe)
     parse_airframe(text, f"{path}, not written")
     return text
-
-
-def _check_earlier(path: Path, airframe: str) -> None:
-    """Refuse to write over an earlier result that this one does not go on from."""
-    base = Path(airframe)
-    if path.exists() and not (base.exists() and base.samefile(path)):
-        raise ConfigError(
-            f"{path}: exists already, and what was calibrated in it would be lost; "
-            f"give --airframe {path} to go on from it, or name another folder (--out)"
-        )
 
 
 def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
@@ -197,7 +188,7 @@ def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
-    pair, recording = base.camera_pair, open_recording(options.recording, base)
+    pair, recording = base.camera_pair, McapRecording(options.recording)  # with the airframe that flew it
     if recording.airframe.name != base.name:
         raise ConfigError(
             f"{options.recording}: recorded by airframe '{recording.airframe.name}', not by '{base.name}'; "

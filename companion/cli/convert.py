@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns, write_tlog
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
@@ -65,6 +68,8 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _tlog(recording: Recording, path: Path) -> bool:
+    if isinstance(recording, TlogRecording):
+        raise ConfigError(f"{recording.path}: is a telemetry log already; copy it, or name a folder for tables")
     if not isinstance(recording, McapRecording):
         raise ConfigError(f"{recording.path}: holds no MAVLink frames; only a .mcap of Spanwise becomes a .tlog")
     check_output(path, "FILE.tlog")
@@ -73,17 +78,39 @@ def _tlog(recording: Recording, path: Path) -> bool:
     if offset_ns is None:
         newest_ns = max((chunk.received_host_ns for chunk in chunks), default=0)
         offset_ns, date = recording.path.stat().st_mtime_ns - newest_ns, "by the file's date, no SYSTEM_TIME has one"
-    count = write_tlog(path, chunks, offset_ns)
+    with _finished(path) as unfinished:
+        count = write_tlog(unfinished, chunks, offset_ns)
     print(f"{path}: {count} frames received and sent; UTC {date}; spanwise reads it with --airframe")
     return count > 0
 
 
 def _tables(recording: Recording, folder: Path) -> bool:
-    with result_folder(folder, "FOLDER"):
-        written = _write_tables(recording, folder)
+    with _finished(folder) as unfinished, result_folder(unfinished, "FOLDER"):
+        written = _write_tables(recording, unfinished)
     print(f"{folder}:" if written else f"{folder}: nothing, no records")
     print("".join(f"  {line}\n" for line in written), end="")
     return bool(written)
+
+
+@contextlib.contextmanager
+def _finished(path: Path) -> Iterator[Path]:
+    """Give a place beside ``path`` that takes its name at the end: what was stopped does not look as if it were whole.
+
+    Raises
+    ------
+    ConfigError
+        The place is taken, by a conversion whose process was killed.
+    """
+    unfinished = path.with_name(f"{path.name}.part")
+    if unfinished.exists():
+        raise ConfigError(f"{unfinished}: is what a conversion left that was killed; remove it")
+    try:
+        yield unfinished
+        if unfinished.exists():
+            unfinished.rename(path)
+    except BaseException:
+        shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink(missing_ok=True)
+        raise
 
 
 def _write_tables(recording: Recording, folder: Path) -> list[str]:

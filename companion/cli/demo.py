@@ -39,6 +39,10 @@ from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import IDEAL, WORLDS
 from companion.sim.vehicle.lockstep import EPOCH_NS
 
+_FILES = ("flight.mcap", "summary.json", "summary.png")
+_MARK = "demo.txt"  # name of the file that tells a demo's folder from all others, from its beginning (convention)
+_KEY = "toe_error_mrad"  # of every demo's summary, those without a mark too (convention)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
@@ -92,10 +96,13 @@ def _fly_and_judge(airframe: Airframe, settings: Settings, options: argparse.Nam
     airframe = as_calibrated(airframe, world)
     live = read_live(options, recording)
     make_folder(options.out)
+    _check_folder(options.out)
     config = ServiceConfig(airframe, settings, (), recording=recording, live=live)
     say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
-    for old in ("flight.mcap", "summary.json", "summary.png"):
+    flown = f"{options.duration:g} s of {airframe.name}, seed {options.seed}, {world.name} world"
+    (options.out / _MARK).write_text(f"spanwise demo flew {flown}\n", encoding="utf-8")
+    for old in _FILES:
         (options.out / old).unlink(missing_ok=True)
     start_host_ns, report = _flown(config, flight, options)
     say("judging the flight by its truth ...")
@@ -111,6 +118,15 @@ def _fly_and_judge(airframe: Airframe, settings: Settings, options: argparse.Nam
     say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
     say(f"next: spanwise report {recording}, and spanwise replay {recording} --live for a browser")
     return 0 if judged else NOTHING_TO_ESTIMATE
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder with files of these names that no demo wrote: a flight that was recorded would be lost."""
+    strange = [name for name in _FILES if (folder / name).exists()]
+    summary = folder / "summary.json"
+    ours = (folder / _MARK).exists() or (summary.is_file() and _KEY in summary.read_text("utf-8", "replace"))
+    if strange and not ours:
+        raise ConfigError(f"--out {folder}: holds a {strange[0]} that no demo wrote; name a new folder")
 
 
 def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -> tuple[int, dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping, load_mapping
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import integer
-from companion.cli.steps.options import check_output
+from companion.cli.steps.options import check_ending, check_new, check_output
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.flights.json_report import as_json
 from companion.diagnosis.flights.outcome import FlightDiagnosis, sentence
@@ -64,9 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Diagnose; a verdict is exit code 0, that nothing can be told from these recordings 3."""
     inputs = [Path(name) for name in (*options.recordings, options.airframe, options.mapping) if name]
-    for option in ("json", "html", "apply"):
-        path = getattr(options, option)
-        check_output(Path(path) if path else None, f"--{option}", inputs)
+    for option, ending in (("json", ".json"), ("html", ".html"), ("apply", ".toml")):
+        path = Path(getattr(options, option)) if getattr(options, option) else None
+        check_output(path, f"--{option}", inputs)
+        check_ending(path, f"--{option}", ending)
     if options.html:
         require_report()
     progress = partial(_show_progress, options.json != "-" and sys.stderr.isatty())
@@ -80,6 +81,9 @@ def _diagnose_flights(
     options: argparse.Namespace, mapping: TableMapping | None, progress: Callable[[str, float], None]
 ) -> int:
     airframe = airframe_of(options.airframe, options.recordings)
+    if options.apply is not None:
+        options.apply = options.apply or f"{airframe.name}-extended.toml"
+        check_new(Path(options.apply), "--apply")
     paths = sampling_check.paths_of(options.recordings, mapping)
     timings = [sampling_check.timing(path, airframe, mapping) for path in paths]
     if not all(timing.can_be_judged for timing in timings):
@@ -109,7 +113,7 @@ def _apply(options: argparse.Namespace, airframe: Airframe, model: FlightModel, 
     if not diagnosis.causes:
         print(_NOTHING_TO_APPLY, file=sys.stderr)
         return
-    path = Path(options.apply or f"{airframe.name}-extended.toml")
+    path = Path(options.apply)
     airframe_with_causes = extended(airframe, model.belief, diagnosis, model.observations.units)
     path.write_text(dump_airframe(airframe_with_causes), encoding="utf-8")
     if options.json != "-":

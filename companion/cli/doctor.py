@@ -15,6 +15,7 @@ from pathlib import Path
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
+from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
 from companion.doctor.clipping import check_clipping
@@ -62,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Examine, report, and fix where that is asked for."""
     airframe, settings = load_airframe(options.airframe), read_settings(options)
+    check_airframe(airframe, settings)  # an orientation that cannot be would be offered to the autopilot
     if options.log is not None:
         return _report(list(diagnose(read_log(options.log, airframe, settings))), as_json=options.json)
     clock = MonotonicClock()

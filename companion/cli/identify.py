@@ -18,7 +18,7 @@ from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
 from companion.cli.steps.numbers import number
-from companion.cli.steps.options import result_folder
+from companion.cli.steps.options import check_earlier, check_output, result_folder
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
@@ -43,14 +43,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default = _DRAFT if kind is gvt else "the recording's own"
         kind.add_argument("--airframe", metavar="NAME", help=f"what the modes are written into (default: {default})")
         folder = Path("out/identify", name)
-        kind.add_argument("--out", type=Path, default=folder, metavar="FOLDER", help="where to write")
+        kind.add_argument(
+            "--out", type=Path, default=folder, metavar="FOLDER",
+            help="where to write; an airframe.toml there is replaced only if it is that of --airframe",
+        )  # fmt: skip
 
 
 def execute(options: argparse.Namespace) -> int:
     """Identify, print a table, write airframe, figures and numbers."""
     require_report()
     base = None if options.airframe is None else load_airframe(options.airframe)
+    path = options.out / "airframe.toml"
     with result_folder(options.out):
+        check_output(path, "--out")
+        check_earlier(path, options.airframe)
         if options.kind == "gvt":
             return _from_test(options, base or load_airframe(_DRAFT))
         return _from_flight(options, base)

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from companion.cli.steps.options import check_output
+from companion.cli.steps.options import check_ending, check_output
 from companion.errors import ConfigError
 from companion.params.document import parameters_page
 from companion.params.metadata import apm_pdef_xml
@@ -33,6 +33,7 @@ def execute(options: argparse.Namespace) -> int:
         print(f"wrote {_PAGE}")
     elif options.xml is not None:
         check_output(options.xml, "--xml")
+        check_ending(options.xml, "--xml", ".xml")
         options.xml.write_text(apm_pdef_xml(), encoding="utf-8")
         print(f"wrote {options.xml}")
     elif options.check:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import itertools
 import json
@@ -13,16 +14,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.codec import plain_values
 from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
 from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.options import (
     add_recording,
     add_settings,
     check_ending,
+    check_new,
     check_output,
     open_given,
     read_settings,
@@ -50,6 +54,7 @@ from companion.records import (
     TriggerPlan,
     Validity,
 )
+from companion.units import Severity
 
 _OUTPUTS = (ModeState, TriggerPlan, Deflection, CorrectedRange, NoRange, ObstacleSectors, ServiceStatus)
 
@@ -102,13 +107,14 @@ def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
     check_output(options.out, "--out", [options.recording])
     check_ending(options.out, "--out", ".mcap")
+    check_new(options.out, "--out")
     recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
-    writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
+    writer: McapWriter | None = None
     same_beliefs = not options.airframe and settings == recording.settings
     recorded = _published(recording) if same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
@@ -119,7 +125,8 @@ def execute(options: argparse.Namespace) -> int:
             counters.take(output)
             if show is not None:
                 show.publish(output)
-            if writer is not None:
+            if options.out is not None:  # not before the replay has begun: one that cannot leaves no file
+                writer = writer or McapWriter(options.out, About.of(recording.airframe, settings, recording.hub))
                 writer.write(output)
             if recorded is not None and isinstance(output, _OUTPUTS):
                 comparison.compare(next(recorded, None), output, lossy=_lossy(recording))
@@ -160,12 +167,18 @@ def _replayed(
     progress: Progress,
     show: PacedView | None,
 ) -> Iterator[Record]:
-    records = recording.records() if show is None else show.with_images(recording.records())
+    records = _from_zero(recording) if show is None else show.with_images(_from_zero(recording))
     inputs = own_inputs(records, recording.airframe, settings) if _is_ours(recording) else foreign_inputs(records)
+    first = next(inputs, None)
+    if first is None and isinstance(recording, McapRecording):
+        raise RecordingError(
+            f"{recording.path}: holds no inputs (what came over the links), as what `replay --out` wrote; "
+            "replay the recording that it was made from"
+        )
     hub = None if recording.hub is ClockName.HOST else recording.hub
 
     def watched() -> Iterator[Record]:
-        for record in inputs:
+        for record in itertools.chain(() if first is None else (first,), inputs):
             if isinstance(record, ImuBatch):
                 stations.add(record)
                 counters.sampled()
@@ -176,6 +189,19 @@ def _replayed(
             yield record
 
     return drive(watched(), recording.airframe, settings, hub)
+
+
+def _from_zero(recording: Recording) -> Iterator[Recordable]:
+    """Records of a recording; of tables whose time begins before 0, where the pipeline's does, later by as much."""
+    streams = recording.streams if isinstance(recording, CsvRecording) else ()
+    later_ns = -min((int(stream.t_ns.min(initial=0)) for stream in streams), default=0)
+    if not later_ns or not isinstance(recording, CsvRecording):
+        return recording.records()
+    recording.say(f"t_s begins at {-1e-9 * later_ns:g} s; replayed as from 0", severity=Severity.INFO)
+    return (
+        dataclasses.replace(batch, t_ns=batch.t_ns + later_ns, received_host_ns=batch.received_host_ns + later_ns)
+        for batch in recording.records()
+    )
 
 
 def _is_ours(recording: Recording) -> TypeGuard[McapRecording]:

@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 
 from companion.adapters.cameras import camera_factory as cameras
-from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
+from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.live_view import add_live, read_live
 from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, check_ending, read_settings, state_file
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C or SIGTERM (or for the given time)."""
+    """Run until Ctrl-C, SIGTERM or SIGHUP (or for the given time)."""
     config = service_config(options)
     try_devices(config)
     return serve(config, options)
@@ -80,6 +80,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
     check_ending(options.record, "--record", ".mcap")
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
+    if options.record is not None and options.record.is_dir():
+        raise ConfigError(f"--record {options.record}: is a folder; name a file in it, such as flight.mcap")
     if len(set(options.connect)) < len(options.connect):
         raise ConfigError(f"--connect {' --connect '.join(options.connect)}: the same link twice; name each once")
     if options.record_keep is not None and options.record is None:
@@ -90,7 +92,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         raise ConfigError("--record-images needs --record and --cameras")
     trigger = simulated_trigger(options.trigger) or triggers.trigger_factory(options.trigger)
     airframe = _with_kept_latency(load_airframe(options.airframe), options)
-    build_mapping(airframe)  # refuses here what would stop every process of the service
+    settings = read_settings(options)
+    check_airframe(airframe, settings)
     eyes = None
     if options.cameras is not None:
         soft = soft_line(trigger)
@@ -99,7 +102,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         )
     return ServiceConfig(
         airframe=airframe,
-        settings=read_settings(options),
+        settings=settings,
         connections=tuple(options.connect),
         cameras=eyes,
         trigger=trigger,
@@ -184,8 +187,9 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     """Run it in the foreground, and say at the end how it stood; 3 where no vehicle came in the time that was given."""
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []
-    for ending in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ending, lambda caught, _: stopped.append(caught))
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if ending is not signal.SIGHUP or signal.getsignal(ending) is not signal.SIG_IGN:  # as nohup asks for
+            signal.signal(ending, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}", options.seconds)
     live = live_view_possible(plain=options.plain)
     began, before = time.monotonic(), _recordings(config.recording)

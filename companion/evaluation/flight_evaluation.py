@@ -159,10 +159,9 @@ def _random_requests(geometry: TrueGeometry) -> list[ShotRequest]:
 def shot_requests(edges_s: Floats, start_host_ns: int) -> list[ShotRequest]:
     """Requests of shots at ``edges_s`` (n,) (boot time), whose matches are ready a tenth of a second later."""
     edges_ns = [start_host_ns + int(edge_s * 1e9) for edge_s in edges_s]
-    earlier_ns = [None, *edges_ns[:-1]]
     return [
         ShotRequest(shot, edge_ns, edge_ns + _ARRIVAL_NS, earlier_edge_host_ns=before_ns)
-        for shot, (edge_ns, before_ns) in enumerate(zip(edges_ns, earlier_ns, strict=True))
+        for shot, (edge_ns, before_ns) in enumerate(zip(edges_ns, [None, *edges_ns], strict=False))
     ]
 
 

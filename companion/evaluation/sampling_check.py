@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.recordings.recording import rate_of
 from companion.adapters.recordings.tables.mapped_table import files_of
 from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.diagnosis.data.segments import REQUIREMENT, segments_of
@@ -114,7 +115,7 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
     return StreamTiming(
         station.name.lower(),
         len(t_ns),
-        1e3 / usual,
+        rate_of(t_ns, 1e3 / usual),
         float(low),
         usual,
         float(high),

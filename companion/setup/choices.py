@@ -79,6 +79,9 @@ def _check(choices: Choices) -> None:
         for word in value if isinstance(value, tuple) else (value,):
             if isinstance(word, str) and not _WORD.fullmatch(word):
                 raise SetupError(f"{name} '{word}': letters, digits and _ . / : , + @ = - alone (no blanks, no quotes)")
+    serials = [number for number in (choices.serial_left, choices.serial_right, choices.serial_trigger) if number]
+    if len(set(serials)) < len(serials):
+        raise SetupError(f"serial numbers {', '.join(serials)}: two adapters cannot have the same")
     if not choices.links:
         raise SetupError("links: give one at least")
     if not choices.airframe:

@@ -5,9 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from companion.cli.steps.numbers import integer, number, seconds
 from companion.params.links import LinkAddress, parse_link
 from mission_scripts.common.guard import Limits
 from mission_scripts.common.outcome import MEANING, Response
+
+# chosen: what an aircraft with these cameras can fly; a value beyond is a slip, and one that is no number no limit
+metres = number(0.0, 1e5, "m")
+height = number(-1e3, 1e4, "m")
+degrees = number(-360.0, 360.0, "degrees")
+speed = number(0.0, 300.0, "m/s")
+millimetres = number(0.0, 1e4, "mm")
+fullness = number(0.0, 1.0, "of full")
+count = integer(1, 1000)
+component = integer(1, 255)
 
 
 def parser_for(name: str, text: str) -> argparse.ArgumentParser:
@@ -21,8 +32,8 @@ def parser_for(name: str, text: str) -> argparse.ArgumentParser:
         help="MAVLink link: udpin:0.0.0.0:14540, tcp:host:port, /dev/ttyUSB0,57600 (or as MAVSDK spells it)",
     )  # fmt: skip
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of the airframe file")
-    parser.add_argument("--companion", type=int, default=191, metavar="ID", help="MAVLink component of the service")
-    parser.add_argument("--wait", type=float, default=15.0, metavar="S", help="for the autopilot to appear")
+    parser.add_argument("--companion", type=component, default=191, metavar="ID", help="the service's component")
+    parser.add_argument("--wait", type=seconds, default=15.0, metavar="S", help="for the autopilot to appear")
     _recording(parser.add_argument_group("recording"), name)
     _limits(parser.add_argument_group("limits; leaving them aborts"))
     parser.add_argument(
@@ -30,7 +41,7 @@ def parser_for(name: str, text: str) -> argparse.ArgumentParser:
         help="after Ctrl-C and the like; lost link, battery, failsafe and floor always mean rtl",
     )  # fmt: skip
     parser.add_argument(
-        "--take-off", type=float, metavar="M",
+        "--take-off", type=metres, metavar="M",
         help="arm and climb to this height first (AUTO take-off): above 1.1 times --floor, below --ceiling",
     )  # fmt: skip
     return parser
@@ -54,12 +65,12 @@ def _recording(group: argparse._ArgumentGroup, name: str) -> None:
 
 def _limits(group: argparse._ArgumentGroup) -> None:
     base = Limits()
-    group.add_argument("--floor", type=float, default=base.floor_m, metavar="M", help="lowest height above home")
-    group.add_argument("--ceiling", type=float, default=base.ceiling_m, metavar="M", help="greatest height above home")
-    group.add_argument("--radius", type=float, default=base.radius_m, metavar="M", help="from where it began")
-    group.add_argument("--off-track", type=float, default=base.off_track_m, metavar="M", help="from the leg flown")
-    group.add_argument("--battery", type=float, default=base.battery, metavar="0..1", help="least charge")
-    group.add_argument("--link-loss", type=float, default=base.link_s, metavar="S", help="silence that counts as lost")
+    group.add_argument("--floor", type=height, default=base.floor_m, metavar="M", help="lowest height above home")
+    group.add_argument("--ceiling", type=metres, default=base.ceiling_m, metavar="M", help="greatest height above home")
+    group.add_argument("--radius", type=metres, default=base.radius_m, metavar="M", help="from where it began")
+    group.add_argument("--off-track", type=metres, default=base.off_track_m, metavar="M", help="from the leg flown")
+    group.add_argument("--battery", type=fullness, default=base.battery, metavar="0..1", help="least charge")
+    group.add_argument("--link-loss", type=seconds, default=base.link_s, metavar="S", help="silence that is a loss")
 
 
 def limits_from(options: argparse.Namespace) -> Limits:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from argparse import ArgumentTypeError
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,11 +54,14 @@ class Place:
 
 
 def parse_place(text: str) -> Place:
-    """``LAT,LON`` in degrees; ValueError (argparse shows it) if it is not that."""
-    latitude, comma, longitude = text.partition(",")
-    place = Place(float(latitude), float(longitude))
-    if not comma or not (-90 <= place.latitude_deg <= 90 and -180 <= place.longitude_deg <= 180):
-        raise ValueError(text)
+    """``LAT,LON`` in degrees; ArgumentTypeError, whose sentence argparse prints, if it is not that."""
+    latitude, _, longitude = text.partition(",")
+    try:
+        place = Place(float(latitude), float(longitude))
+    except ValueError:
+        raise ArgumentTypeError(f"'{text}' is no place: give LAT,LON in degrees, such as 47.5,8.25") from None
+    if not (-90 <= place.latitude_deg <= 90 and -180 <= place.longitude_deg <= 180):
+        raise ArgumentTypeError(f"'{text}' is no place: latitudes are -90 to 90, longitudes -180 to 180 degrees")
     return place
 
 

@@ -19,8 +19,8 @@ NOTHING_FOUND = 3
 
 @pytest.fixture(autouse=True)
 def _signals() -> Iterator[None]:
-    """``spanwise run`` takes over SIGINT and SIGTERM; give them back."""
-    before = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
+    """``spanwise run`` takes over SIGINT, SIGTERM and SIGHUP; give them back."""
+    before = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     yield
     for number, handler in before:
         signal.signal(number, handler)
@@ -118,6 +118,23 @@ def test_the_demo_needs_cameras(refused: Callable[..., str], tmp_path: Path) -> 
 
 
 # ------------------------------------------------------------------------------------------ recordings
+
+
+def test_a_telemetry_log_is_not_made_into_one(refused: Callable[..., str], tmp_path: Path) -> None:
+    flown = tlog(tmp_path / "flight.tlog")
+    sentence = refused("convert", flown, tmp_path / "other.tlog", "--airframe", "sitl-plane")
+    assert "is a telemetry log already" in sentence
+
+
+def test_a_device_that_is_no_serial_one_is_said_to_be_none(refused: Callable[..., str]) -> None:
+    sentence = refused("run", "--connect", "/dev/null", "--airframe", "nadir-2m", "--for", "1")
+    assert sentence.endswith("/dev/null: is no serial device")
+
+
+def test_a_table_in_another_encoding_is_told_which_is_read(refused: Callable[..., str], tmp_path: Path) -> None:
+    header = "t_s,left_z_mps2,Böe".encode("latin-1")
+    (tmp_path / "accel.csv").write_bytes(header + b"\n0.0,-9.8,1\n")
+    assert "is not text in UTF-8" in refused("replay", tmp_path, "--airframe", "nadir-2m")
 
 
 def test_a_recording_that_is_not_there(refused: Callable[..., str], tmp_path: Path) -> None:

@@ -144,15 +144,18 @@ def test_killing_the_service_ends_its_processes_and_frees_the_port(fly: Callable
 @linux
 @pytest.mark.realtime
 @pytest.mark.slow
-def test_sigterm_ends_the_service_within_three_seconds_and_finishes_the_recording(
-    fly: Callable[..., Flight], tmp_path: Path
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_service_within_three_seconds_and_finishes_the_recording(
+    fly: Callable[..., Flight], tmp_path: Path, ending: signal.Signals
 ) -> None:
     flight = fly("--record", str(tmp_path / "flight.mcap"))
     flight.ready()
     asked_s = time.monotonic()
-    flight.process.terminate()
+    for number in flight.children() if ending is signal.SIGHUP else ():  # a terminal that closes tells the group
+        os.kill(number, ending)
+    flight.process.send_signal(ending)
     assert flight.process.wait(10.0) == 0
-    print(f"ended {time.monotonic() - asked_s:.2f} s after SIGTERM")
+    print(f"ended {time.monotonic() - asked_s:.2f} s after {ending.name}")
     assert time.monotonic() - asked_s < 3.0 + STALL_S
     recording = McapRecording(tmp_path / "flight.mcap")
     assert list(recording.records())

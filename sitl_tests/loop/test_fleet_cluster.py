@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -107,5 +108,10 @@ def test_an_address_where_nobody_listens_is_refused_in_a_sentence(
     words = ["fleet", "report", str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out"), "--scheduler", address]
     assert main(words) == 1
     assert f"--scheduler {address}: no Dask scheduler answers there" in capsys.readouterr().err
-    with pytest.raises(LinkError, match="no Dask scheduler answers"):
-        list(run_on_cluster(tasks_of([tmp_path / "a.mcap"], (), tmp_path / "out"), letters, "no address at all"))
+    began_s = time.monotonic()
+    for nowhere in ("no address at all", "bogus.invalid:8786", "tcp://127.0.0.1:no"):
+        with pytest.raises(LinkError, match="no Dask scheduler answers"):
+            list(run_on_cluster(tasks_of([tmp_path / "a.mcap"], (), tmp_path / "out"), letters, nowhere))
+    gc.collect()
+    assert time.monotonic() - began_s < 10.0, "no client waits for a scheduler, or complains at its end"
+    assert "Traceback" not in capsys.readouterr().err

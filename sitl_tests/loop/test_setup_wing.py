@@ -16,7 +16,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.steps import setup_wing
 from companion.cli.steps.wing_guide import WingGuide
-from companion.errors import ConfigError
+from companion.errors import TO_FIX, ConfigError
 from companion.params.files import load_airframe
 from companion.records import Station
 from companion.sim.rehearsal.bench import Miswiring
@@ -115,7 +115,7 @@ def test_the_first_range_of_the_simulated_aircraft_passes(
         flying.wait(30.0)
     said = capsys.readouterr().out
     assert code == 0, said
-    passed = re.search(r"ok +range +([\d.]+) \+- ([\d.]+) m after (\d+) s", said)
+    passed = re.search(r"ok +range +([\d.]+) ±([\d.]+) m after (\d+) s", said)
     assert passed is not None, said
     range_m, sigma_m = float(passed[1]), float(passed[2])
     assert 2.0 < range_m < 150.0
@@ -166,3 +166,20 @@ def test_a_step_that_cannot_be_is_one_sentence(
 ) -> None:
     assert main([*COMMAND, *options]) == 1
     assert says in capsys.readouterr().err
+
+
+def test_a_link_on_which_nothing_comes_ends_with_the_nodes(capsys: pytest.CaptureFixture[str]) -> None:
+    link = ("--connect", f"udpin:127.0.0.1:{free_port()}", "--airframe", "nadir-2m", "--for", "0.3")
+    assert main(["setup", "wing", *link]) == TO_FIX
+    said = capsys.readouterr().out
+    assert lines(said, "mend")[-1] == "samples    none from root, left, right"
+    assert "tap" not in said, "no further step was begun"
+
+
+def test_a_step_says_whose_samples_it_waits_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.cli.steps.wing_guide.LIMIT_S", 0.3)
+    link = ("--connect", f"udpin:127.0.0.1:{free_port()}", "--airframe", "nadir-2m", "--step", "taps")
+    assert main(["setup", "wing", *link]) == 1
+    assert "no samples come from root, left, right" in capsys.readouterr().err

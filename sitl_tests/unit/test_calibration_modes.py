@@ -207,19 +207,21 @@ def test_a_band_that_cannot_be_is_refused(band_hz: tuple[float, float]) -> None:
     [
         ([200.0, 280.0], 4000, "up to half of rate_hz"),
         ([30.0, 2.0], 4000, "lower first"),
+        ('"x"', 4000, "band_hz must be two frequencies, as"),
+        ("[2.0]", 4000, "band_hz must be two frequencies, as"),
         ([2.0, 30.0], 1, "never changes"),
         ([2.0, 30.0], 40, "5 lines of the spectrum lie in band_hz, 16 are needed"),
     ],
 )
 def test_a_layout_whose_band_shows_nothing_is_refused(
-    band_hz: list[float], rows: int, complaint: str, tmp_path: Path
+    band_hz: list[float] | str, rows: int, complaint: str, tmp_path: Path
 ) -> None:
     noise = np.random.default_rng(0).normal(size=(rows, 2))
     with pytest.raises(SpanwiseError, match=complaint):
         read_vibration_test(_layout(tmp_path, band_hz), tmp_path, lambda _path: {"signalIn": noise})
 
 
-def _layout(tmp_path: Path, band_hz: list[float]) -> Path:
+def _layout(tmp_path: Path, band_hz: list[float] | str) -> Path:
     """One run of one accelerometer."""
     layout = tmp_path / "layout.toml"
     layout.write_text(

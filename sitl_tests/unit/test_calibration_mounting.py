@@ -16,7 +16,7 @@ from companion.calibration.mounting import Attitude, Mounting, airframe_with_mou
 from companion.cli import calibrate
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
-from companion.errors import ConfigError
+from companion.errors import ConfigError, RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, Frame, FramePair, ImuBatch, Record, Side, Station
@@ -189,6 +189,15 @@ def test_an_aircraft_that_moves_gives_no_attitude() -> None:
             )
 
     assert find_attitudes(Moving(np.eye(3)), base, CHARUCO, Side.LEFT) == ([], {})
+
+
+def test_a_recording_without_images_says_so() -> None:
+    class Blind(_Recording):
+        def records(self) -> Iterable[Record]:
+            return (record for record in super().records() if not isinstance(record, FramePair))
+
+    with pytest.raises(RecordingError, match="no image of the left camera"):
+        find_attitudes(Blind(np.eye(3)), _base(), CHARUCO, Side.LEFT)
 
 
 def test_the_command_writes_the_mounting(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
+from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.cli.run import _recorded, _recordings
 from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import dump_airframe, load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName
+
+AIRFRAMES = Path(__file__).resolve().parents[2] / "config" / "airframes"
 
 
 @pytest.mark.parametrize("link", [False, True])
@@ -86,10 +90,29 @@ def test_an_interrupted_demo_leaves_no_result_of_another_flight(
         raise ConfigError("stopped")
 
     monkeypatch.setattr("companion.cli.demo._flown", stopped)
-    for name in ("flight.mcap", "summary.png", "summary.json"):
+    for name in ("demo.txt", "flight.mcap", "summary.png", "summary.json"):
         (tmp_path / name).write_text("of the last flight")
     assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.txt"]
+    assert "2 s of nadir-2m" in (tmp_path / "demo.txt").read_text()
+
+
+@pytest.mark.parametrize("name", ["flight.mcap", "summary.json"])
+def test_a_demo_leaves_files_that_no_demo_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    (tmp_path / name).write_text("of a real flight")
+    assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert f"holds a {name} that no demo wrote" in capsys.readouterr().err
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "of a real flight"}
+
+
+def test_a_demo_replaces_one_from_before_they_left_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object) -> None:
+        raise ConfigError("stopped")
+
+    monkeypatch.setattr("companion.cli.demo._flown", stopped)
+    (tmp_path / "summary.json").write_text('{"toe_error_mrad": {}}')
+    assert main(["demo", "--duration", "2", "--out", str(tmp_path)]) == 1
+    assert not (tmp_path / "summary.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -97,6 +120,10 @@ def test_an_interrupted_demo_leaves_no_result_of_another_flight(
     [
         (["report", "flight.mcap", "--out"], ".html"),
         (["replay", "flight.mcap", "--out"], ".mcap"),
+        (["diagnose", "flight.mcap", "--html"], ".html"),
+        (["diagnose", "flight.mcap", "--json"], ".json"),
+        (["diagnose", "flight.mcap", "--apply"], ".toml"),
+        (["params", "--xml"], ".xml"),
         (["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--record"], ".mcap"),
     ],
 )
@@ -132,9 +159,19 @@ def test_an_effect_of_no_finite_size_is_refused(tmp_path: Path, capsys: pytest.C
     assert not where.exists()
 
 
+def test_an_effect_of_a_size_that_nothing_has_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["simulate", "--duration", "2", "--out", str(tmp_path), "--effect"]
+    assert main([*command, "frequency-shift=1e300"]) == 1
+    assert "ratio is 1e+300, and must be within 100000 from 0" in capsys.readouterr().err
+    assert main([*command, "exposure-delay=10"]) == 1
+    assert "the exposures lie outside the flight" in capsys.readouterr().err
+    assert main([*command, "clock-skew=0.01"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--record", "."], "is a folder"),
         (["demo", "--flights", "3"], "--flights is of --landing"),
         (["setup", "--dry-run", "--airframe", "no-such-wing", "--link", "serial:/dev/ttyAMA0:921600"], "no-such-wing"),
     ],
@@ -194,12 +231,19 @@ def test_a_simulated_flight_does_not_replace_what_was_measured(
 
 
 def test_a_latency_is_not_written_into_an_airframe_that_did_not_fly_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = SimpleNamespace(airframe=load_airframe("forward-2m"))
-    monkeypatch.setattr("companion.cli.calibrate.open_recording", lambda *_: recording)
-    assert main(["calibrate", "latency", "flight.mcap", "--airframe", "nadir-2m", "--out", str(tmp_path)]) == 1
+    flight = _empty_recording(tmp_path / "flight.mcap", "forward-2m")
+    command = ["calibrate", "latency", str(flight), "--out", str(tmp_path), "--airframe"]
+    assert main([*command, "nadir-2m"]) == 1
     assert "recorded by airframe 'forward-2m', not by 'nadir-2m'" in capsys.readouterr().err
+    assert main([*command, "forward-2m"]) == 1
+    assert "only 0 shots" in capsys.readouterr().err
+
+
+def _empty_recording(path: Path, airframe: str) -> Path:
+    McapWriter(path, About.of(load_airframe(airframe), Settings(), ClockName.HOST)).close()
+    return path
 
 
 def test_a_calibration_goes_on_from_the_earlier_or_leaves_it(
@@ -223,3 +267,66 @@ def test_run_refuses_an_airframe_that_no_process_could_read_messages_for(
     wing.write_text(dump_airframe(load_airframe("nadir-2m")).replace("component = 201", "component = 200"))
     assert main(["run", "--connect", "udpin:127.0.0.1:0", "--airframe", str(wing), "--for", "1"]) == 1
     assert "has the same source as left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "--connect", "udpin:127.0.0.1:0", "--for", "1"),
+        ("doctor", "--connect", "udpin:127.0.0.1:0", "--fix"),
+        ("setup", "wing", "--connect", "sim"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("orientation = 25", "orientation = 5", "is not along a body axis"),
+        ("orientation = 25", "orientation = 0", "is not where the cameras look"),
+        ("[right_camera]", "[right_camera]\nrow_time_s = 2e-5", "row_time_s of the cameras differ"),
+        ("[left_camera]", "[left_camera]\ndistortion = [-0.9, 0.0, 0.0, 0.0, 0.0]", "folds the image"),
+        ("[left_camera]", "[left_camera]\nrotation_rad = [0.0, 0.9, 0.0]", "more than 45 degrees apart"),
+    ],
+)
+def test_cameras_that_no_process_could_use_are_refused_before_anything_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], before: str, after: str, sentence: str
+) -> None:
+    wing = tmp_path / "wing.toml"
+    wing.write_text((AIRFRAMES / "nadir-2m.toml").read_text().replace(before, after))
+    assert main([*command, "--airframe", str(wing)]) == 1
+    said = capsys.readouterr()
+    assert sentence in said.err
+    assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "ending"),
+    [(["replay", "--out"], ".mcap"), (["diagnose", "--airframe", "nadir-2m", "--apply"], ".toml")],
+)
+def test_a_file_of_another_flight_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], ending: str
+) -> None:
+    recording, other = _empty_recording(tmp_path / "flight.mcap", "nadir-2m"), tmp_path / f"precious{ending}"
+    other.write_text("as it was")
+    assert main([command[0], str(recording), *command[1:], str(other)]) == 1
+    assert "exists already, and would be lost" in capsys.readouterr().err
+    assert other.read_text() == "as it was"
+
+
+def test_a_replay_that_cannot_begin_leaves_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "accel.csv").write_text("t_s,root_z_mps2,left_z_mps2\n0.0,x,1.0\n")
+    out = tmp_path / "out.mcap"
+    assert main(["replay", str(tmp_path), "--airframe", "nadir-2m", "--out", str(out)]) == 1
+    assert "line 2" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_identification_goes_on_from_the_earlier_or_leaves_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier = tmp_path / "airframe.toml"
+    earlier.write_text(dump_airframe(load_airframe("nadir-2m")))
+    monkeypatch.setattr("companion.cli.identify._from_flight", lambda *_: 0)
+    command = ["identify", "flight", "flight.mcap", "--out", str(tmp_path)]
+    assert main(command) == 1
+    assert f"give --airframe {earlier} to go on" in capsys.readouterr().err
+    assert main([*command, "--airframe", str(earlier)]) == 0

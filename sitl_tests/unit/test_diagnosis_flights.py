@@ -48,6 +48,13 @@ def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> Non
     assert "left_z" in plain["advice"][0]
 
 
+def test_a_rate_is_told_by_the_samples_of_a_time_and_not_by_the_usual_step(tmp_path: Path) -> None:
+    """Steps of 2.5, 2.5 and 4 ms are 333 samples a second."""
+    t_s = np.concatenate([[0.0], np.cumsum(np.tile([0.0025, 0.0025, 0.004], 1300))])
+    plain = diagnosis_of(tmp_path, accel(tmp_path, "root", t_s), "--airframe", "nadir-2m")
+    assert plain["timing"][0]["rate_hz"] == pytest.approx(333.3, abs=0.5)
+
+
 def test_stamps_a_thousand_times_too_small_are_asked_for_their_unit(tmp_path: Path) -> None:
     """Seconds that the mapping takes for milliseconds."""
     rows = "".join(f"{0.005 * k:.3f},-1.0,-1.0\n" for k in range(12_000))

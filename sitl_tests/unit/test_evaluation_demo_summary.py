@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.cli.terminal.demo_tables import print_summary
+from companion.evaluation.flight_evaluation import shot_requests
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
 from companion.evaluation.shot_scores import Shots, paired
 from companion.reporting.numbers import finite
@@ -94,3 +95,9 @@ def test_what_json_does_not_have_is_none() -> None:
     assert finite({"a": [float("nan"), 1.5], "b": {"c": float("inf")}, "d": 3}) == {
         "a": [None, 1.5], "b": {"c": None}, "d": 3,
     }  # fmt: skip
+
+
+def test_a_flight_that_ends_before_any_random_instant_asks_for_no_shot() -> None:
+    assert shot_requests(np.empty(0), 10) == []
+    first, second = shot_requests(np.array([1.0, 2.0]), 10)
+    assert (first.earlier_edge_host_ns, second.earlier_edge_host_ns) == (None, 1_000_000_010)

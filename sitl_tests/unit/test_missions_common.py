@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
+from argparse import ArgumentTypeError
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,10 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from mission_scripts.common.flight import Flight
+from mission_scripts.common.guard import Limits
 from mission_scripts.common.legs import back_and_forth
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
+from mission_scripts.common.options import limits_from, parser_for
 from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Response
 from mission_scripts.common.places import Route, parse_place
 from mission_scripts.common.recording import Tap
@@ -221,10 +225,37 @@ def test_legs_go_there_and_back_at_their_heights_and_end_in_a_circle() -> None:
     assert [item.seq for item in route.items] == list(range(len(route.items)))
 
 
-@pytest.mark.parametrize("text", ["", "47", "47;8", "91,8", "47,190", "a,b"])
+@pytest.mark.parametrize("text", ["", "47", "47;8", "91,8", "47,190", "a,b", "nan,8"])
 def test_a_place_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(ValueError):
+    with pytest.raises(ArgumentTypeError, match="is no place"):
         parse_place(text)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *itertools.product(("--floor", "--ceiling", "--radius", "--off-track"), ("nan", "inf")),
+        ("--ceiling", "-1"),
+        ("--radius", "0"),
+        ("--battery", "30"),
+        ("--battery", "nan"),
+        ("--link-loss", "nan"),
+        ("--link-loss", "0"),
+        ("--take-off", "nan"),
+    ],
+)
+def test_a_limit_that_nothing_could_leave_is_refused(
+    words: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        parser_for("climb_sweep", "").parse_args(["--connect", "udpin:127.0.0.1:0", *words])
+    assert f"argument {words[0]}" in capsys.readouterr().err
+
+
+def test_the_limits_of_a_usual_flight_are_taken() -> None:
+    words = ["--floor=-20", "--ceiling=120", "--radius=800", "--off-track=40", "--battery=0.25", "--link-loss=1.5"]
+    options = parser_for("climb_sweep", "").parse_args(["--connect", "udpin:127.0.0.1:0", *words])
+    assert limits_from(options) == Limits(-20.0, 120.0, 800.0, 0.25, 1.5, 40.0)
 
 
 def test_the_tap_s_file_is_a_tlog(tmp_path: Path) -> None:

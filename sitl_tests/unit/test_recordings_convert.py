@@ -275,3 +275,27 @@ def test_samples_whose_stamps_repeat_are_counted_as_left_out(
     writer.close()
     assert main(["convert", str(path), str(tmp_path / "tables")]) == 0
     assert "4 of left; 1 whose stamps repeat are left out" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "writer"), [("tables", "write_readme"), ("link.tlog", "write_tlog")])
+def test_a_conversion_that_is_stopped_leaves_nothing_that_looks_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, writer: str
+) -> None:
+    recording = tmp_path / "flight.mcap"
+    out = McapWriter(recording, About.of(AIRFRAME, Settings(), ClockName.HOST))
+    out.write(RawChunk(0, 1_000_000_000, b"bytes"))
+    out.close()
+
+    def stopped(path: Path, *_: object) -> None:
+        assert path.name == f"{name}.part"
+        assert not (tmp_path / name).exists()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as interrupted:
+        interrupted.setattr(f"companion.cli.convert.{writer}", stopped)
+        if name == "tables":
+            interrupted.setattr("companion.cli.convert._samples", lambda *_: iter([("a", "b")]))
+        assert main(["convert", str(recording), str(tmp_path / name)]) == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.mcap"]
+    (tmp_path / f"{name}.part").mkdir()
+    assert main(["convert", str(recording), str(tmp_path / name)]) == 1, "what a killed one left is not mixed in"

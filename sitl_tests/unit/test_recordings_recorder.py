@@ -129,7 +129,7 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
     client_end, theirs = recorder_channel()
     client, random = RecorderClient(client_end), np.random.default_rng(1)
     said: list[str] = []
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 
     def produce() -> None:
         for i in range(600):  # 2 KB that cannot be compressed, 0.1 s of recorded time each
@@ -211,7 +211,7 @@ def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) ->
     clients[1]._refused += 4  # as if four records had not fitted
     for client in clients:
         client.close()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     keep_recording(tmp_path / "two.mcap", ABOUT, [theirs for _, theirs in channels], pytest.fail)
     for number, handler in handlers.items():
         signal.signal(number, handler)

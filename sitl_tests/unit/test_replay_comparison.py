@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -106,3 +108,28 @@ def test_the_wing_is_printed_as_it_was_at_the_last_sample(
     assert main(["replay", str(tmp_path), "--airframe", "nadir-2m"]) == 0
     screen = capsys.readouterr().out
     assert "wing   symmetric 5.000 ±0.020 Hz, rms 3.00 ±0.20 mm" in screen
+
+
+def test_tables_that_begin_before_0_are_replayed_as_those_that_begin_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t_s = np.arange(1200) / 200.0
+    results = []
+    for begins_s in (0.0, -3.0):
+        rows = [f"{t:.3f},-9.8,{z:.4f},{z:.4f}" for t, z in zip(t_s + begins_s, -9.8 + np.sin(30.0 * t_s), strict=True)]
+        (tmp_path / "accel.csv").write_text("\n".join(["t_s,root_z_mps2,left_z_mps2,right_z_mps2", *rows, ""]))
+        main(["replay", str(tmp_path), "--airframe", "nadir-2m", "--json"])
+        results.append(json.loads(capsys.readouterr().out))
+    assert results[0]["outputs"]["ModeState"] > 10
+    assert results[1]["outputs_sha256"] == results[0]["outputs_sha256"]
+    assert any("t_s begins at -3 s" in text for text in results[1]["notices"])
+
+
+def test_the_file_that_a_replay_wrote_is_no_recording_to_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "accel.csv").write_text("t_s,left_z_mps2\n" + "".join(f"{k / 200:.3f},-9.8\n" for k in range(400)))
+    out = tmp_path / "out.mcap"
+    main(["replay", str(tmp_path), "--airframe", "nadir-2m", "--out", str(out)])
+    assert main(["replay", str(out)]) == 1
+    assert "replay the recording that it was made from" in capsys.readouterr().err

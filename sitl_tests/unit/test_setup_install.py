@@ -511,3 +511,9 @@ def test_what_is_installed_and_flown_is_the_calibrated_airframe(pi5: Path, capsy
         assert build_parser(name).parse_args(words[name]).airframe == calibrated
     assert build_parser("identify").parse_args(words["identify"]).out == read.out, "the modes go into the same file"
     assert not any("my-wing.toml" in line for line in after if "mission_scripts" not in line)
+
+
+def test_two_adapters_with_one_number_are_refused(pi5: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert setup(pi5, "--serial-left", "FT4ABCDE", "--serial-right", "FT4ABCDE") == 1
+    assert "two adapters cannot have the same" in capsys.readouterr().err
+    assert not (pi5 / RULES).exists()

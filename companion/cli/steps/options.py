@@ -110,6 +110,22 @@ def check_ending(path: Path | None, option: str, ending: str) -> None:
         raise ConfigError(f"{option} {path}: what is written there ends in {ending}")
 
 
+def check_new(path: Path | None, option: str) -> None:
+    """Refuse a file that exists: whatever was measured or written into it would be lost. Devices are no files."""
+    if path is not None and path.is_file():
+        raise ConfigError(f"{option} {path}: exists already, and would be lost; name a new file")
+
+
+def check_earlier(path: Path, airframe: str | None) -> None:
+    """Refuse to write over an earlier result that this one, which starts from ``airframe``, does not go on from."""
+    base = Path(airframe or "")
+    if path.exists() and not (base.exists() and base.samefile(path)):
+        raise ConfigError(
+            f"{path}: exists already, and what was measured for it would be lost; "
+            f"give --airframe {path} to go on from it, or name another folder (--out)"
+        )
+
+
 def make_folder(path: Path, option: str = "--out") -> None:
     """Make the folder that results go into.
 

@@ -10,15 +10,17 @@ from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import Link, open_link
 from companion.cli import calibrate, run
 from companion.cli.doctor import diagnose
+from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.numbers import integer, number, seconds
 from companion.cli.steps.options import add_settings, read_settings
-from companion.cli.steps.wing_guide import GuideStep, WingGuide
+from companion.cli.steps.wing_guide import SAMPLES, GuideStep, WingGuide
 from companion.cli.terminal.run_loop import run_service
 from companion.cli.terminal.status_view import View
 from companion.doctor.examine import Examination
 from companion.errors import TO_FIX, ConfigError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.ports import Clock
 from companion.records import CorrectedRange, Record
 from companion.service.wiring import Service
@@ -57,12 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Go through the steps; 4 where one is left to mend."""
-    airframe = load_airframe(options.airframe)
+    airframe, settings = load_airframe(options.airframe), read_settings(options)
+    check_airframe(airframe, settings)
     steps = [name for name in STEPS if name in (options.steps or STEPS) and (options.steps or _can(name, options))]
     for name in steps:
         if not _can(name, options):
             raise ConfigError(f"--step {name}: needs {'--cameras and --square-m' if name == 'stereo' else '--cameras'}")
-    results = _on_the_bench([name for name in steps if name in BENCH_STEPS], airframe, options)
+    results = _on_the_bench([name for name in steps if name in BENCH_STEPS], airframe, settings, options)
+    if results and results[-1].name == SAMPLES:
+        return _summary(results, steps)
     flown = options.airframe
     if "stereo" in steps:
         results += _stereo(options)
@@ -78,14 +83,15 @@ def _can(step: str, options: argparse.Namespace) -> bool:
     return step != "range" or (options.cameras not in (None, SIMULATED) and SIMULATED not in options.connect)
 
 
-def _on_the_bench(steps: list[str], airframe: Airframe, options: argparse.Namespace) -> list[GuideStep]:
+def _on_the_bench(
+    steps: list[str], airframe: Airframe, settings: Settings, options: argparse.Namespace
+) -> list[GuideStep]:
     """Steps that need nothing but nodes, autopilot and a hand."""
     if not steps:
         return []
     links, clock, wait = (
         rehearsal(airframe, steps, options.seconds) if options.connect == [SIMULATED] else _real(options)
     )
-    settings = read_settings(options)
 
     def examine(each: Callable[[Record], None]) -> Examination:
         return Examination(links, clock, airframe, settings, options.seconds, each)
@@ -97,6 +103,8 @@ def _on_the_bench(steps: list[str], airframe: Airframe, options: argparse.Namesp
             for step in getattr(guide, name)():
                 _show(step)
                 results.append(step)
+            if results and results[-1].name == SAMPLES:
+                break
     finally:
         guide.close()
     return results

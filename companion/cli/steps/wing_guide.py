@@ -38,6 +38,8 @@ _KEPT_NS = 30_000_000_000  # of samples, beyond any handling (choice)
 _BAND_HZ = (2.0, 40.0)  # where wings have their first modes; as of identify flight (choice)
 _SIGMAS = 3.0  # beyond, the file is of another wing (choice)
 _LEAST_SIGMA_HZ = 0.01  # chosen: of any frequency: no test in the field knows one better
+SAMPLES = "samples"
+"""Name of the step that says whose samples are missing: without them no further step can pass."""
 _SUBJECTS = ("link", "heartbeat", "wire", "routing", "wing", "clock")
 
 
@@ -101,7 +103,7 @@ class WingGuide:
     Raises
     ------
     DeviceError
-        Nothing that was asked for happened within :data:`LIMIT_S`.
+        Nothing that was asked for happened within :data:`LIMIT_S`, or a station sends no samples.
     """
 
     def __init__(
@@ -129,10 +131,13 @@ class WingGuide:
         while not self._examination.over:
             self._once()
         findings = [each for each in self._diagnose(self._examination) if each.subject in _SUBJECTS]
-        return [
+        steps = [
             GuideStep(each.subject, each.text, "mend this first" if each.level is FindingLevel.FIX else "")
             for each in findings
         ]
+        silent = self._silent(0)
+        remedy = "look at link and nodes first: without samples no further step can pass"
+        return [*steps, GuideStep(SAMPLES, f"none from {silent}", remedy)] if silent else steps
 
     def taps(self) -> list[GuideStep]:
         """Both tips, each tapped once: the node that is moved is the one that says so."""
@@ -208,8 +213,14 @@ class WingGuide:
         ends_ns = self._clock.now_ns() + round(LIMIT_S * 1e9)
         while not happened():
             if self._clock.now_ns() > ends_ns:
+                if silent := self._silent(self._clock.now_ns() - _WINDOW_NS):
+                    raise DeviceError(f"no samples come from {silent}: see `--step nodes`")
                 raise DeviceError(f"{what} within {LIMIT_S:g} s; begin anew when you are ready")
             self._listen(_WINDOW_NS // 10)
+
+    def _silent(self, from_ns: int) -> str:
+        """Stations without samples since then, "" where there are none."""
+        return ", ".join(each.name.lower() for each, rows in self._window.values(from_ns).items() if not len(rows))
 
     def _still(self) -> None:
         self._until(self._is_still, "the aircraft was never still for a second")

@@ -7,12 +7,15 @@ held after a few deaths; a condemned task is tried once more with no other besid
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 from companion.errors import LinkError, import_extra
 from companion.evaluation.fleet.runner import Row, Task, attempt, failure, split_stored, write_part
 
+_PORT = 8786  # where an address names none (Dask's convention)
 _CONNECT_S = 10.0  # a scheduler on the same network answers within a second (choice)
 
 T = TypeVar("T", bound=Task)
@@ -51,6 +54,7 @@ def _client(address: str) -> Any:
     from distributed import Client
 
     try:
+        _knock(address)
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise LinkError(
@@ -65,6 +69,12 @@ def _client(address: str) -> Any:
             "to itself; start them as: dask worker ADDRESS --nthreads 1 --nworkers N"
         )
     return client
+
+
+def _knock(address: str) -> None:
+    """Raise OSError or ValueError where nothing listens: a client that cannot connect would print more at its end."""
+    place = urlsplit(address if "://" in address else f"tcp://{address}")
+    socket.create_connection((place.hostname or "", place.port or _PORT), _CONNECT_S).close()
 
 
 def _made(client: Any, tasks: Sequence[T], work: Callable[[T], Row], address: str) -> Iterator[tuple[T, Row]]:

@@ -14,6 +14,7 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import log_rotation, relative_rotation
 from companion.core.wing.effect import viewed
 from companion.core.wing.effects import apply_to_airframe
+from companion.errors import ConfigError
 from companion.records import AXIS_LETTERS, Floats, Ints, Side, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
@@ -76,7 +77,10 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
     left, believed = cameras.camera_pair[0], flight.airframe.camera_pair[0]
     real, belief = Rig.from_airframe(cameras), Rig.from_airframe(flight.airframe)
     late_s = np.mean([viewed(flight.model.effects, side, 0.0).exposure_delay_s for side in Side])
-    truth = flight.truth.series(times + round(1e9 * late_s))
+    exposed = times + round(1e9 * late_s)
+    if times.size and not (exposed[0] >= 0 and exposed[-1] <= flight.truth.end_ns):
+        raise ConfigError(f"an exposure delay of {late_s:g} s: the exposures lie outside the flight")
+    truth = flight.truth.series(exposed)
     reference = reference_m(truth, flight.airframe.orientation)
     toe = np.array([toe_rad(belief, real, truth, row) for row in range(len(times))])
     disparity = left.focal_px.value * (real.baseline_m / reference + toe)

@@ -120,4 +120,6 @@ def _advice(path: str, baud: int, error: Exception) -> str:
         return f"{path}: the device is in use; stop the other program (a second spanwise, MAVProxy, ModemManager?)"
     if isinstance(error, ValueError):
         return f"{path}: baud rate {baud} is not supported by this device"
+    if os.strerror(errno.ENOTTY) in str(error):  # in pyserial's words, whose errno is None
+        return f"{path}: is no serial device"
     return f"{path}: {error}"

@@ -35,10 +35,10 @@ def keep_recording(
 
     The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes;
     once a second it is forced to the disk, so that a power cut costs some two seconds.
-    SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
-    with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
-    the name. Where the disk is full or read only, ``say`` is told so; what comes is thrown away, and every half minute
-    a file is tried again: the service flies on.
+    SIGINT and SIGHUP are ignored (they reach the whole group, and the producers still have to end); SIGTERM
+    finishes the file with what has arrived. If the path is taken (by this recorder before it was started again), a
+    number is put into the name. Where the disk is full or read only, ``say`` is told so; what comes is thrown away,
+    and every half minute a file is tried again: the service flies on.
     With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
     finished and followed by a further part, and the oldest ones are removed. ``parts`` counts them for a recorder that
     may be started again.
@@ -97,8 +97,9 @@ class _Producers:
 
 
 def _on_terminate() -> list[int]:
-    """Leave Ctrl-C to the producers; the list is filled by SIGTERM."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Leave Ctrl-C and a closed terminal to the producers; the list is filled by SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     terminated: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: terminated.append(number))
     return terminated

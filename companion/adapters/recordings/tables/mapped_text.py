@@ -91,7 +91,7 @@ def _header(path: Path, layout: TextLayout) -> list[str]:
         with path.open(encoding="utf-8-sig") as file:
             lines = [line for _, line in zip(range(layout.header_line), file, strict=False)]
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: is not a text file") from error
+        raise RecordingError(f"{path}: is not text in UTF-8: save it as such, if it is a text file") from error
     if len(lines) < layout.header_line:
         raise TableError(path, len(lines) + 1, f"ends before the header of line {layout.header_line}")
     return [name.strip().strip('"') for name in _cells(lines[-1], layout)]

@@ -46,7 +46,7 @@ def _header(path: Path) -> list[str]:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: is not a text file") from error
+        raise RecordingError(f"{path}: is not text in UTF-8: save it as such, if it is a text file") from error
     header = [name.strip().strip('"') for name in line.split(",")]
     if len(header) < 2:
         other = any(mark in line for mark in ";\t")

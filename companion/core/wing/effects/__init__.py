@@ -13,6 +13,8 @@ from companion.core.wing.effect import Effect, Group
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect
 
+_MOST_SIGMAS = 1e6  # chosen: an instant of 20 s prior sigma reaches over the longest recording; sums stay finite
+
 
 @functools.cache
 def catalogue() -> Mapping[str, type[Effect]]:
@@ -52,11 +54,14 @@ def make_effect(named: NamedEffect) -> Effect:
     effect = kinds_by_name[named.name].from_values(named.parameters)
     for entry in effect.parameters():
         value = named.parameters.get(entry.name, entry.default)
+        unit = f" {entry.unit}" if entry.unit else ""
         if not (value > entry.above or value == entry.default):
-            unit = f" {entry.unit}" if entry.unit else ""
             raise ConfigError(
                 f"effect '{named.name}': {entry.name} is {value:g}{unit}, and must be above {entry.above:g}"
             )
+        if abs(value - entry.default) > _MOST_SIGMAS * entry.sigma:
+            limit = f"{_MOST_SIGMAS * entry.sigma:g}{unit} from {entry.default:g}"
+            raise ConfigError(f"effect '{named.name}': {entry.name} is {value:g}{unit}, and must be within {limit}")
     return effect
 
 
