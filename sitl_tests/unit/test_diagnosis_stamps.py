@@ -244,3 +244,14 @@ def test_a_range_that_is_no_number_is_left_out_and_an_infinite_one_is_not(airfra
     assert got.toe is not None
     np.testing.assert_array_equal(got.toe.t_s, np.delete(at_s, 50))
     assert np.isfinite(got.toe.toe_rad).all()
+
+
+def test_a_dead_channel_is_named(airframe: Airframe) -> None:
+    tips = {Side.LEFT: RawStream(T_S, np.zeros(COUNT)), Side.RIGHT: RawStream(T_S, VALUES)}
+    with pytest.raises(RecordingError, match="left_z never changes: check its sensor"):
+        observe(RawRecording(tips), airframe, TOP_HZ)
+
+
+def test_drop_outs_to_zero_end_no_range(airframe: Airframe) -> None:
+    force = np.where(np.arange(COUNT) % 500 < 2, 0.0, VALUES - 9.8)
+    assert "saturation" not in [entry.name for entry in find_sample_defects(T_S, force, airframe.left)]
