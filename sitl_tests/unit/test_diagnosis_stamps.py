@@ -204,6 +204,17 @@ def test_no_range_is_used_where_the_wing_was_not_seen(airframe: Airframe) -> Non
     assert np.diff(observations.toe.toe_rad).max() < 0.0
 
 
+@pytest.mark.parametrize("piece_s", [9.0, 12.0])
+def test_no_range_within_three_seconds_of_an_end_is_used(airframe: Airframe, piece_s: float) -> None:
+    """A short piece fades over less, and the motion is not known there for all that."""
+    inside = span_mask((0.0, piece_s))
+    at_s = np.arange(0.05, piece_s, 0.02)
+    tips = {side: RawStream(T_S[inside], VALUES[inside]) for side in Side}
+    (got,) = observe(RawRecording(tips, None, RawRanges(at_s, np.full(len(at_s), 40.0))), airframe, TOP_HZ)
+    assert got.toe is not None
+    assert 3.0 <= got.toe.t_s.min() < got.toe.t_s.max() <= piece_s - 3.0
+
+
 def test_samples_that_are_no_numbers_count_as_lost(airframe: Airframe) -> None:
     holed = VALUES.copy()
     holed[5000:5030], holed[12_000] = np.nan, np.inf
