@@ -305,3 +305,18 @@ def test_derivatives_of_a_neighbour_lead_to_the_same_top(drawn: FlightModel) -> 
     assert led.converged
     assert led.log_evidence == pytest.approx(alone.log_evidence, abs=0.02)
     assert np.abs((led.values - alone.values) / np.sqrt(np.diag(alone.covariance))).max() < 0.1
+
+
+@pytest.mark.parametrize("wider", [1.0, 5.0])
+def test_intervals_of_a_tone_s_amplitudes_are_those_of_its_phase(drawn: FlightModel, wider: float) -> None:
+    """In 30 s a frequency is known to a thousandth of its prior: a step as large as that bends its difference.
+
+    With amplitude A at phase 0 the frequency's error turns into a sine, of twice the sigma of the cosine's; the taper
+    makes it 2.1.
+    """
+    tone = catalogue()["tone"].from_values({"left_cosine_mps2": 2.0, "frequency_hz": 30.0})
+    likelihood = FlightsLikelihood([drawn], (EffectTerm(tone),), wider)
+    information = likelihood.scores(likelihood.start()).information
+    count = len(drawn.belief.nuisances)
+    sigmas = np.sqrt(np.diag(np.linalg.inv(information[count:, count:][np.ix_([0, 1, 4], [0, 1, 4])])))
+    assert sigmas[1] / sigmas[0] == pytest.approx(2.1, rel=0.02)
