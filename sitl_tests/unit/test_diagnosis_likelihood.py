@@ -320,3 +320,18 @@ def test_intervals_of_a_tone_s_amplitudes_are_those_of_its_phase(drawn: FlightMo
     count = len(drawn.belief.nuisances)
     sigmas = np.sqrt(np.diag(np.linalg.inv(information[count:, count:][np.ix_([0, 1, 4], [0, 1, 4])])))
     assert sigmas[1] / sigmas[0] == pytest.approx(2.1, rel=0.02)
+
+
+def test_a_kick_is_as_likely_at_the_end_of_a_recording_as_at_its_start(drawn: FlightModel) -> None:
+    """The recording of 30 s is the last piece of one that began 210 s before it."""
+    late = FlightModel(drawn.belief, dataclasses.replace(drawn.observations, start_s=210.0), TOP_HZ)
+    kick = catalogue()["impulsive-forcing"].from_values({"at1_s": 211.0, "at2_s": 225.0, "at3_s": 239.0})
+    likelihood = FlightsLikelihood([late], (EffectTerm(kick),), 5.0)
+    start = likelihood.start()
+    cost = [-0.5 * ((start[i] - entry.centre) / entry.sigma) ** 2 for i, entry in enumerate(likelihood.parameters)]
+    by_key = {entry.key: worth for entry, worth in zip(likelihood.parameters, cost, strict=True)}
+    assert by_key["at1_s"] == pytest.approx(by_key["at3_s"])
+    assert -1.5 < by_key["at1_s"] < by_key["at2_s"] == 0.0
+    sigma = {entry.key: entry.sigma for entry in likelihood.parameters}
+    assert sigma["at1_s"] == pytest.approx(30.0 / np.sqrt(12.0))
+    assert sigma["width_s"] == pytest.approx(0.01)

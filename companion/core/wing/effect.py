@@ -183,6 +183,8 @@ class Effect:
     """Law without a name that is its own, as sharp or as smooth as a recording has it: no rival of the name."""
     transient: ClassVar[bool] = False
     """Whether it acts at instants of its own: then no block of a recording foretells another."""
+    instants: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are instants of a recording: their prior is its length, not the declared sigma."""
     adds_toe_variance: ClassVar[bool] = False
     """Whether the variance of the measured toe follows from it, beside or in place of the mean."""
     starts_at: ClassVar[ResidualPeak | None] = None

@@ -40,7 +40,7 @@ class FlightsLikelihood:
 
     def __init__(self, models: Sequence[FlightModel], terms: Sequence[EffectTerm], wider: float = 1.0) -> None:
         self._models, self._terms = models, tuple(terms)
-        self.parameters = priors(models[0].belief, terms, wider)
+        self.parameters = _anywhere(models, terms, priors(models[0].belief, terms, wider))
         # a difference is no better for a wider prior
         self._sigmas: Floats = np.array([entry.sigma for entry in priors(models[0].belief, terms)])
         self._reached: list[tuple[Floats, FlightState, tuple[Expectation, ...]]] = []
@@ -185,6 +185,19 @@ def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> t
     return (
         *nuisances,
         *(Parameter(entry.name, entry.default, entry.sigma * (1.0 if place else wider)) for entry, place in declared),
+    )
+
+
+def _anywhere(
+    models: Sequence[FlightModel], terms: Sequence[EffectTerm], parameters: Sequence[Parameter]
+) -> tuple[Parameter, ...]:
+    """The parameters with instants anywhere in the recordings: the normal law of the same mean and variance."""
+    begin_s = min(model.observations.start_s for model in models)
+    length_s = max(model.observations.start_s + model.observations.duration_s for model in models) - begin_s
+    instants = {name for term in terms for name in type(term.effect).instants}
+    return tuple(
+        Parameter(entry.key, begin_s + 0.5 * length_s, length_s / math.sqrt(12.0)) if entry.key in instants else entry
+        for entry in parameters
     )
 
 

@@ -22,6 +22,7 @@ class ImpulsiveForcing(Effect):
     group: ClassVar[Group] = Group.FORCING
     starts_at: ClassVar = ResidualPeak.IMPULSES
     transient: ClassVar[bool] = True
+    instants: ClassVar = ("at1_s", "at2_s", "at3_s")
     advice: ClassVar[str] = "look at the video of these instants"
 
     symmetric1_mps: float = parameter("m/s", 0.1, "speed that the first kick gives the symmetric mode")
