@@ -18,6 +18,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
 from companion.diagnosis.model.linear_spectra import Spectra
+from companion.diagnosis.model.motion import SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
@@ -335,3 +336,18 @@ def test_a_kick_is_as_likely_at_the_end_of_a_recording_as_at_its_start(drawn: Fl
     sigma = {entry.key: entry.sigma for entry in likelihood.parameters}
     assert sigma["at1_s"] == pytest.approx(30.0 / np.sqrt(12.0))
     assert sigma["width_s"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("name", ["impulsive-forcing", "periodic-forcing"])
+def test_a_law_that_follows_no_motion_needs_none(
+    drawn: FlightModel, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    smoothed: list[object] = []
+    monkeypatch.setattr(SmoothedMotion, "_smoothed", lambda *args: smoothed.append(args))
+    strength = catalogue()[name].parameters()[0].name
+    term = EffectTerm(catalogue()[name].from_values({strength: 0.3}))
+    nuisances = np.zeros(len(drawn.belief.nuisances))
+    here = drawn.expect(nuisances, [term])
+    stronger = EffectTerm(catalogue()[name].from_values({strength: 0.4}))
+    assert np.any(drawn.expect(nuisances, [stronger], here, small_step=True).residual != here.residual)
+    assert not smoothed

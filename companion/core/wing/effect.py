@@ -219,6 +219,13 @@ class Effect:
         del motion
         return None
 
+    def kick_spectrum(self, omega_radps: Floats, count: int, start_s: float, stop_s: float) -> Complexes:
+        """Fourier transform (count, f) of the modal loads of a ``transient`` effect between two times, from the first.
+
+        What lasts for less than a sample has a spectrum beyond all of the samples'.
+        """
+        raise NotImplementedError(f"effect '{self.name}' is transient and needs a kick_spectrum()")
+
     @classmethod
     def may_follow(cls, channel: str) -> bool:
         """Whether the effect may follow a recorded channel of this name; asked where ``follows_channel``."""

@@ -185,7 +185,7 @@ class ForwardSelection(Generic[TermT, State]):
             terms = tuple(term for i, term in enumerate(pruned.fitted.terms) if i != index)
             self._progress(f"do without {cause.term.name}", 0.0)
             previous = path.stages[-2] if pruned.fitted is path.fitted and index == len(terms) else None
-            without = previous if previous and previous.converged else self._recordings.fit(terms, pruned.fitted)
+            without = previous if previous and previous.converged else self._fewer(terms, pruned.fitted)
             factor = pruned.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)
             if factor < ENOUGH_MORE and others:
@@ -196,6 +196,13 @@ class ForwardSelection(Generic[TermT, State]):
                 causes[index] = dataclasses.replace(causes[index], log_bayes_factor=factor, bic=bic)
                 pruned = dataclasses.replace(pruned, causes=tuple(causes))
         return pruned
+
+    def _fewer(self, terms: Sequence[TermT], near: Fit[TermT, State]) -> Fit[TermT, State]:
+        """Fit of fewer terms: one that stays far behind need not reach its top."""
+        fitted = self._recordings.fit(terms, near, quick=True)
+        if fitted.converged or near.log_evidence - fitted.log_evidence > ENOUGH_MORE + _WITHIN:
+            return fitted
+        return self._recordings.fit(fitted.terms, fitted)
 
     def _stages(self, null: Fit[TermT, State], terms: Sequence[TermT]) -> tuple[Fit[TermT, State], ...]:
         stages = [null]
