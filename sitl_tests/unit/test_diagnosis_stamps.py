@@ -119,6 +119,15 @@ def test_rows_that_only_came_late_or_share_a_coarse_stamp_are_no_effect(airframe
     assert find_sample_defects(0.004 * (np.arange(COUNT) // 4), VALUES, airframe.left) == []
 
 
+@pytest.mark.parametrize("rate_hz", [400.0, 610.0, 800.0, 990.0])
+def test_stamps_in_whole_milliseconds_lose_no_samples_at_any_rate(airframe: Airframe, rate_hz: float) -> None:
+    t_s = np.round(np.arange(COUNT) / rate_hz, 3)
+    assert find_sample_defects(t_s, VALUES, airframe.left) == []
+    shown = np.random.default_rng(8).uniform(size=COUNT) > 0.05
+    (lost,) = find_sample_defects(t_s[shown], VALUES[shown], airframe.left)
+    assert lost.name == "dropout-jitter"
+
+
 def test_a_simulated_dropout_is_seen_in_what_it_writes(airframe: Airframe) -> None:
     """The effect's own stream: stamps are even, and a lost sample is the one before."""
     from companion.records import Station
