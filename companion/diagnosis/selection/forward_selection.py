@@ -166,7 +166,7 @@ class ForwardSelection(Generic[TermT, State]):
             if candidate.z <= CERTAIN_Z and _MORE_THAN_PROMISED * candidate.log_odds < most - _CONCEIVABLE:
                 continue
             self._progress(f"refit {candidate.name}", i / len(leading))
-            with_it = _names(path.fitted) | {(candidate.name, candidate.term.channel)}
+            with_it = _names(path.fitted) | {_name_of(candidate)}
             twin = reached.get(with_it)
             refitted = self._recordings.refit(path.fitted, candidate) if twin is None else (candidate, twin)
             if refitted is not None:
@@ -281,17 +281,22 @@ def _alike(
 
     Alike are also names whose penalised likelihoods are close, where only the priors of their strengths rank them.
     """
-    key = best.candidate.name, best.candidate.term.channel
-    row = [(candidate.name, candidate.term.channel) for candidate in screening.candidates].index(key)
-    refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
+    key = _name_of(best.candidate)
+    row = [_name_of(candidate) for candidate in screening.candidates].index(key)
+    refitted = {_name_of(entry.candidate): entry.log_bayes_factor for entry in tried}
     alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
     alike |= {
-        entry.candidate.name
+        _name_of(entry.candidate)
         for entry in tried
         if best.worth - entry.worth < _TOO_CLOSE and best.log_bayes_factor - entry.log_bayes_factor < _CONCEIVABLE
     }
     for other, rho in zip(screening.candidates, screening.correlation[row], strict=True):
-        factor = refitted.get(other.name, other.log_odds)
+        factor = refitted.get(_name_of(other), other.log_odds)
         if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:
-            alike.add(other.name)
-    return tuple(sorted(alike - {best.candidate.name}))
+            alike.add(_name_of(other))
+    return tuple(f"{name} ({channel})" if channel else name for name, channel in sorted(alike - {key}))
+
+
+def _name_of(candidate: Candidate[TermT]) -> tuple[str, str]:
+    """Name and channel: one effect may follow one of several channels that are alike."""
+    return candidate.name, candidate.term.channel
