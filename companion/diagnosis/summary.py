@@ -80,6 +80,8 @@ def _worth(plain: dict[str, Any]) -> str:
     pair = _far(plain)
     if plain["verdict"] == "adequate":
         return "No effect that has a name would gain anything."
+    if plain["verdict"] == "unexplained" and plain["gain"] is None:
+        return "What it is worth was not measured on held-out blocks, because no effect explains this recording."
     if pair is None:
         return "No image matches were held out here, so that its worth in metres is unknown."
     before, after = pair
