@@ -59,6 +59,14 @@ def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[floa
     assert "--apply" not in sentences["next"]
 
 
+def test_what_belongs_to_the_recording_is_not_for_the_airframe_file() -> None:
+    kick = CAUSE | {"name": "impulsive-forcing"}
+    sentences = summary_sentences(diagnosed("explained", None, causes=[kick]), [])
+    assert "--apply" not in sentences["next"]
+    assert "Not for the airframe file, for it belongs to this recording: impulsive-forcing." in sentences["next"]
+    assert "--apply" in summary_sentences(diagnosed("explained", None, causes=[kick, CAUSE]), [])["next"]
+
+
 def test_the_gain_is_told_in_mrad_of_toe_too() -> None:
     plain = diagnosed("explained", (1.82, 0.46))
     plain["gain"]["toe_rms_rad"] = {"before": 1.0e-3, "after": 0.25e-3}

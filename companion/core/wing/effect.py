@@ -233,6 +233,11 @@ class Effect:
         return cls.follows_channel
 
     @classmethod
+    def belongs_to_recording(cls) -> bool:
+        """Whether its values are those of one recording (losses of a link, instants, a phase) and of no airframe."""
+        return cls.in_samples or cls.transient or cls.starts_at is not None
+
+    @classmethod
     def forces_modes(cls) -> bool:
         """Whether it overrides ``force``, so that a wing with it is not linear."""
         return cls.force is not Effect.force
