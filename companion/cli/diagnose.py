@@ -31,7 +31,7 @@ from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.reporting.plotting import require_report
 
-_NOTHING_TO_APPLY = "--apply: no effect was named, so no airframe was written"
+_NOTHING_TO_APPLY = "--apply: no effect was named that an airframe has, so no airframe was written"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -113,11 +113,18 @@ def _apply(options: argparse.Namespace, airframe: Airframe, model: FlightModel, 
     if not diagnosis.causes:
         print(_NOTHING_TO_APPLY, file=sys.stderr)
         return
+    of_recording = [cause.term.name for cause in diagnosis.causes if cause.term.effect.belongs_to_recording()]
+    lasting = [cause.term.name for cause in diagnosis.causes if cause.term.name not in of_recording]
+    if of_recording:
+        print(f"--apply leaves out {', '.join(of_recording)}: it belongs to this recording", file=sys.stderr)
+    if not lasting:
+        print(_NOTHING_TO_APPLY, file=sys.stderr)
+        return
     path = Path(options.apply)
     airframe_with_causes = extended(airframe, model.belief, diagnosis, model.observations.units)
     path.write_text(dump_airframe(airframe_with_causes), encoding="utf-8")
     if options.json != "-":
-        print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in diagnosis.causes)}")
+        print(f"wrote {path}: {airframe.name} with {', '.join(lasting)}")
 
 
 def _print_findings(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from companion.core.wing.effects import catalogue
+
 FAR_M = 60  # convention: the far target of the paper, for which its Table 4 is computed
 _FAR_SIGMAS = 1.5  # prior sigmas from which a deviation is worth writing into the airframe file (choice)
 _IDENTIFIED = [f"{family}.{name}" for family in ("symmetric", "antisymmetric") for name in ("frequency", "damping")]
@@ -80,6 +82,8 @@ def _worth(plain: dict[str, Any]) -> str:
     pair = _far(plain)
     if plain["verdict"] == "adequate":
         return "No effect that has a name would gain anything."
+    if plain["verdict"] == "unexplained" and plain["gain"] is None:
+        return "What it is worth was not measured on held-out blocks, because no effect explains this recording."
     if pair is None:
         return "No image matches were held out here, so that its worth in metres is unknown."
     before, after = pair
@@ -101,14 +105,19 @@ def _next(plain: dict[str, Any]) -> str:
     apart = [cause["name"] for cause in causes if cause["group"]]
     sentences = []
     if plain["verdict"] == "explained":
-        worth_it = worthwhile(plain)
-        sentences.append(
-            "Leave the airframe file as it is."
-            if worth_it is False
-            else "Write it into the airframe file with --apply, and fly once more to confirm it."
-        )
+        of_recording = [cause["name"] for cause in causes if _belongs_to_recording(cause["name"])]
+        if worthwhile(plain) is False:
+            sentences.append("Leave the airframe file as it is.")
+        elif len(of_recording) < len(causes):
+            sentences.append("Write it into the airframe file with --apply, and fly once more to confirm it.")
+        if of_recording:
+            sentences.append(f"Not for the airframe file, for it belongs to this recording: {', '.join(of_recording)}.")
     elif not advice:
         sentences.append("Record again with cameras, and with what may have changed: temperature, speed, rpm.")
     if advice:
         sentences.append(f"To {'tell it from its group' if apart else 'check it'}: {advice}.")
     return " ".join(sentences)
+
+
+def _belongs_to_recording(name: str) -> bool:
+    return catalogue()[name].belongs_to_recording()

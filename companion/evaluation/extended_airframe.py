@@ -24,6 +24,7 @@ def extended(
     """The airframe with the named effects in force, and modes, bend and cameras as the same fit has them.
 
     Values and effects belong together: a frequency fitted beside a slipping spring is another one than without it.
+    Effects whose values are those of this recording alone are left out.
     ``units`` are the mean and rms of each recorded channel.
     """
     named = [
@@ -34,6 +35,7 @@ def extended(
             *units.get(cause.term.channel, (0.0, 0.0)),
         )
         for cause in diagnosis.causes
+        if not cause.term.effect.belongs_to_recording()
     ]
     deviation = belief.named(diagnosis.final.values[: len(belief.nuisances)])
     spread = {entry.key: math.sqrt(float(diagnosis.final.covariance[i, i])) for i, entry in enumerate(belief.nuisances)}

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.recoil import recoil_delay
 from companion.diagnosis.data.resampling import in_common_units, observe
 from companion.diagnosis.model.belief import Belief, believe
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.recorded_evidence import load
 from companion.params.airframe import Airframe
+from companion.units import GRAVITY_MPS2
 
 _LOAD_VARIES = 0.02  # rms g: below, the flight was level (choice)
 # highest frequency modelled, in first modes: the third mode of a beam lies at 17.5, the second at 6.3 (choice)
@@ -38,7 +41,7 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
         FlightModel(belief, short, top_hz, k)
         for k, segments in enumerate(recorded)
         for segment in segments
-        for short in _short_segments(segment)
+        for short in _short_segments(segment, airframe)
     ]
 
 
@@ -59,9 +62,17 @@ def belief_for(airframe: Airframe, recorded: Sequence[Sequence[Observations]]) -
     return believe(airframe, sides, with_range, varies, len(recorded), inputs, has_root)
 
 
-def _short_segments(recording: Observations) -> list[Observations]:
+def _short_segments(recording: Observations, airframe: Airframe) -> list[Observations]:
     count = math.ceil(recording.duration_s / _LONGEST_S)
     if count < 2:
         return [recording]
     length = recording.duration_s / count
-    return [recording.window(k * length, (k + 1) * length) for k in range(count)]
+    windows = [recording.window(k * length, (k + 1) * length) for k in range(count)]
+    return [_with_recoil(window, airframe) for window in windows] if recording.recoil else windows
+
+
+def _with_recoil(window: Observations, airframe: Airframe) -> Observations:
+    """A window with the delay of the tips in its own time, for a clock may drift."""
+    root = -GRAVITY_MPS2 * window.load_factor
+    recoil = recoil_delay(root[:, None] - window.up_mps2, root, window.rate_hz, airframe)
+    return dataclasses.replace(window, recoil=recoil)

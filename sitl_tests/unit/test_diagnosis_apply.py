@@ -22,7 +22,7 @@ from companion.diagnosis.model.flights import FlightFit, FlightState
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.diagnosis import Diagnosis
 from companion.diagnosis.selection.fit import Fit
-from companion.diagnosis.selection.recordings import no_correlation
+from companion.diagnosis.selection.recordings import Cause, no_correlation
 from companion.evaluation.extended_airframe import extended
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
@@ -118,7 +118,8 @@ def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> No
     assert again == extended
     assert WingModel.from_airframe(again).effects == (make_effect(entry),)
     believed = believe(again, (Side.LEFT, Side.RIGHT), False, False)
-    assert believed.terms == (EffectTerm(make_effect(entry), entry.channel),)
+    in_force = not catalogue()[name].belongs_to_recording()
+    assert believed.terms == (EffectTerm(make_effect(entry), entry.channel),) * in_force
     value = apply_to_airframe(again)
     assert value.effects == again.effects or (not value.effects and value != AIRFRAME)
 
@@ -157,10 +158,15 @@ def test_a_fitted_toe_turns_the_cameras_and_leaves_the_sigma_of_their_three_axes
         (), keys, (), values, values, np.ones(count), 1e-14 * np.eye(count), 0.0, 0.0, True, FlightState((), ())
     )
     none = no_correlation([])
+    causes = [
+        Cause(EffectTerm(catalogue()[name]()), (), 50.0, -100.0, 10.0, (0.1,))
+        for name in ("tone", "dropout-jitter", "impulsive-forcing", "frequency-drift")
+    ]
     diagnosis: FlightDiagnosis = Diagnosis(
-        DiagnosisVerdict.EXPLAINED, (), "", (), "", fitted, fitted, none, (), (), None
+        DiagnosisVerdict.EXPLAINED, tuple(causes), "", (), "", fitted, fitted, none, (), (), None
     )
     applied = extended(AIRFRAME, belief, diagnosis)
+    assert [effect.name for effect in applied.effects] == ["frequency-drift"]
     for camera, before, sign in (
         (applied.left_camera, AIRFRAME.left_camera, -1.0),
         (applied.right_camera, AIRFRAME.right_camera, 1.0),

@@ -222,3 +222,22 @@ def test_only_effects_of_the_samples_are_simulated() -> None:
     assert is_sample_nonlinearity(catalogue()["accel-cubic"]())
     assert not is_sample_nonlinearity(catalogue()["accel-scale"]())
     assert not is_sample_nonlinearity(catalogue()["cubic-stiffness"]())
+
+
+def test_a_piece_of_some_seconds_is_checked_by_what_it_can_show() -> None:
+    model = drawn(9, count=300)
+    names = [entry.name for entry in check([model], fit([model], ()))]
+    assert "left outliers" in names
+    assert not any("changing in time" in name for name in names)
+
+
+def test_recordings_with_different_sides_are_judged_together() -> None:
+    both = drawn(10, count=1000)
+    recorded = both.observations
+    one_side = dataclasses.replace(
+        recorded, sides=SIDES[:1], up_mps2=recorded.up_mps2[:, :1], mean_force_mps2=np.zeros(1)
+    )
+    for order in (1, -1):
+        models = [FlightModel(both.belief, entry, TOP_HZ, 0) for entry in (recorded, one_side)[::order]]
+        scores = lack_of_fit_tests(models, fit(models, ()))
+        assert any(name.startswith("left with right near") for name in scores)

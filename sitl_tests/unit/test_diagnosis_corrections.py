@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,9 @@ def test_a_kick_shorter_than_a_sample_gives_its_whole_speed_and_nothing_beyond_t
     omega_radps = 2.0 * np.pi * model.transforms.f_hz[half]
     assert spectrum[half] == pytest.approx(0.5 * np.exp(-0.5 * (0.002 * omega_radps) ** 2), rel=1e-6)
     assert not np.any(load[1])
+    piece = dataclasses.replace(model.observations, start_s=60.0)  # the kick was before it began
+    lineariser = SensorLineariser(piece, model.transforms)
+    assert not np.any(lineariser.linearise_forces(wing, [EffectTerm(kick)], still, still).residual_mps2)
 
 
 def test_a_gap_smaller_than_what_is_not_told_of_the_deflection_acts_by_its_mean(model: FlightModel) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from companion.diagnosis.selection.fisher_scoring import Parameter, Scores, maximise
+from companion.diagnosis.selection.fisher_scoring import NormalPrior, Parameter, Scores, maximise
 from companion.records import Floats
 
 
@@ -118,3 +118,12 @@ def test_the_top_that_a_neighbours_derivatives_lead_to_is_judged_with_its_own(co
     rough = maximise(coherence, np.zeros(2), 30, coherence.neighbour_scores, values_alone=True)
     np.testing.assert_allclose(rough.values, best.values, atol=0.02)
     assert len(coherence.asked) - asked < asked
+
+
+def test_an_information_that_rounding_left_indefinite_is_no_wider_than_the_prior() -> None:
+    sigmas = np.array([1e-6, 1e3])
+    log_determinant, covariance = NormalPrior([Parameter("", 0.0, sigma) for sigma in sigmas]).posterior(
+        np.diag([4e12, -1e-4])
+    )
+    np.testing.assert_allclose(np.diag(covariance), [0.25e-12, 1e6])
+    assert log_determinant == pytest.approx(np.log(4.0))

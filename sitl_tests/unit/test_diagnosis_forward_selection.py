@@ -124,3 +124,18 @@ def test_a_cause_that_only_spares_another_s_prior_is_left_out(both: float, named
     """A focal length 10 % long was named with a baseline error of 1.2 sigma, and its own value was 4.5 sigma off."""
     table = WideTable({"": 0.0, "a": 50.0, "b": 1.0, "ab": both}, {"": [("a", 10.0, 50.0)], "a": [("b", 9.0, 40.0)]})
     assert search(table) == named
+
+
+def test_a_term_without_which_all_is_far_behind_is_left_out_for_a_few_steps_only() -> None:
+    table = Table({"": 0.0, "a": 100.0, "b": 120.0, "ab": 300.0}, {"": [("b", 20.0, 120.0)], "b": [("a", 15.0, 100.0)]})
+    assert search(table) == ["a", "b"]
+    assert table.gone_on[-1] == "a"
+
+
+def test_two_channels_that_are_alike_are_a_group_of_one_effect() -> None:
+    table = Table({"": 0.0, "drift": 50.0}, {})
+    scores = [Candidate(Named("drift", channel), 10.0, 50.0) for channel in ("temperature_degc", "battery_v")]
+    first = Screening(tuple(scores), np.array([[1.0, 0.99], [0.99, 1.0]]), np.ones((2, 2)))
+    path = ForwardSelection(table, lambda _what, _ratio: None).search(table.null(), first, 1)
+    (cause,) = path.causes
+    assert (cause.term.channel, cause.group) == ("temperature_degc", ("drift (battery_v)",))

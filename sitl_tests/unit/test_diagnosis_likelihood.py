@@ -18,6 +18,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
 from companion.diagnosis.model.linear_spectra import Spectra
+from companion.diagnosis.model.motion import SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.model.toe import _toe_per_slope
 from companion.diagnosis.selection.fisher_scoring import maximise
@@ -305,3 +306,48 @@ def test_derivatives_of_a_neighbour_lead_to_the_same_top(drawn: FlightModel) -> 
     assert led.converged
     assert led.log_evidence == pytest.approx(alone.log_evidence, abs=0.02)
     assert np.abs((led.values - alone.values) / np.sqrt(np.diag(alone.covariance))).max() < 0.1
+
+
+@pytest.mark.parametrize("wider", [1.0, 5.0])
+def test_intervals_of_a_tone_s_amplitudes_are_those_of_its_phase(drawn: FlightModel, wider: float) -> None:
+    """In 30 s a frequency is known to a thousandth of its prior: a step as large as that bends its difference.
+
+    With amplitude A at phase 0 the frequency's error turns into a sine, of twice the sigma of the cosine's; the taper
+    makes it 2.1.
+    """
+    tone = catalogue()["tone"].from_values({"left_cosine_mps2": 2.0, "frequency_hz": 30.0})
+    likelihood = FlightsLikelihood([drawn], (EffectTerm(tone),), wider)
+    information = likelihood.scores(likelihood.start()).information
+    count = len(drawn.belief.nuisances)
+    sigmas = np.sqrt(np.diag(np.linalg.inv(information[count:, count:][np.ix_([0, 1, 4], [0, 1, 4])])))
+    assert sigmas[1] / sigmas[0] == pytest.approx(2.1, rel=0.02)
+
+
+def test_a_kick_is_as_likely_at_the_end_of_a_recording_as_at_its_start(drawn: FlightModel) -> None:
+    """The recording of 30 s is the last piece of one that began 210 s before it."""
+    late = FlightModel(drawn.belief, dataclasses.replace(drawn.observations, start_s=210.0), TOP_HZ)
+    kick = catalogue()["impulsive-forcing"].from_values({"at1_s": 211.0, "at2_s": 225.0, "at3_s": 239.0})
+    likelihood = FlightsLikelihood([late], (EffectTerm(kick),), 5.0)
+    start = likelihood.start()
+    cost = [-0.5 * ((start[i] - entry.centre) / entry.sigma) ** 2 for i, entry in enumerate(likelihood.parameters)]
+    by_key = {entry.key: worth for entry, worth in zip(likelihood.parameters, cost, strict=True)}
+    assert by_key["at1_s"] == pytest.approx(by_key["at3_s"])
+    assert -1.5 < by_key["at1_s"] < by_key["at2_s"] == 0.0
+    sigma = {entry.key: entry.sigma for entry in likelihood.parameters}
+    assert sigma["at1_s"] == pytest.approx(30.0 / np.sqrt(12.0))
+    assert sigma["width_s"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("name", ["impulsive-forcing", "periodic-forcing"])
+def test_a_law_that_follows_no_motion_needs_none(
+    drawn: FlightModel, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    smoothed: list[object] = []
+    monkeypatch.setattr(SmoothedMotion, "_smoothed", lambda *args: smoothed.append(args))
+    strength = catalogue()[name].parameters()[0].name
+    term = EffectTerm(catalogue()[name].from_values({strength: 0.3}))
+    nuisances = np.zeros(len(drawn.belief.nuisances))
+    here = drawn.expect(nuisances, [term])
+    stronger = EffectTerm(catalogue()[name].from_values({strength: 0.4}))
+    assert np.any(drawn.expect(nuisances, [stronger], here, small_step=True).residual != here.residual)
+    assert not smoothed

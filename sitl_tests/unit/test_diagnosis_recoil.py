@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
 from companion.core.wing.lowpass import Butterworth2
+from companion.diagnosis.data.observations import RawRecording, RawStream
 from companion.diagnosis.data.recoil import RecoilDelay, recoil_delay
 from companion.diagnosis.flights.recordings import diagnose
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import fit
 from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.evaluation.flight_models import models_of
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
-from companion.records import Floats, Station
+from companion.records import Floats, Side, Station
 from tools.trial_generators import STRANGER
 from tools.trial_judge import model_of
 from tools.trial_truths.stranger.cases import fly_all, hide
@@ -113,3 +116,20 @@ def test_a_sensor_s_filter_is_stable_whatever_its_second_term() -> None:
     first_order = kind.from_values({"lag_s": 0.001}).response(Station.LEFT, f_hz)
     beyond = kind.from_values({"lag_s": 0.001, "second_s2": -5e-6}).response(Station.LEFT, f_hz)
     np.testing.assert_array_equal(beyond, first_order)
+
+
+def test_each_piece_of_a_long_recording_is_timed_by_its_own_recoil(
+    airframe: Airframe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tips, root = _flown(airframe, 0.003, 0.0)
+    t_s = np.arange(len(root)) / RATE_HZ
+    sides = {side: RawStream(t_s, tip) for side, tip in zip(Side, tips.T, strict=True)}
+    raw = RawRecording(sides, RawStream(t_s, root - 9.8))
+    monkeypatch.setattr("companion.evaluation.flight_models.load", lambda *_: raw)
+    monkeypatch.setattr("companion.evaluation.flight_models._LONGEST_S", 25.0)
+    unfiltered = dataclasses.replace(airframe, root=dataclasses.replace(airframe.root, lowpass_accel_hz=0.0))
+    models = models_of([Path("long")], unfiltered)
+    assert len(models) == 3
+    for model in models:
+        assert model.observations.recoil is not None
+        assert model.observations.recoil.delay_s == pytest.approx(0.003, abs=0.0003)

@@ -119,6 +119,15 @@ def test_rows_that_only_came_late_or_share_a_coarse_stamp_are_no_effect(airframe
     assert find_sample_defects(0.004 * (np.arange(COUNT) // 4), VALUES, airframe.left) == []
 
 
+@pytest.mark.parametrize("rate_hz", [400.0, 610.0, 800.0, 990.0])
+def test_stamps_in_whole_milliseconds_lose_no_samples_at_any_rate(airframe: Airframe, rate_hz: float) -> None:
+    t_s = np.round(np.arange(COUNT) / rate_hz, 3)
+    assert find_sample_defects(t_s, VALUES, airframe.left) == []
+    shown = np.random.default_rng(8).uniform(size=COUNT) > 0.05
+    (lost,) = find_sample_defects(t_s[shown], VALUES[shown], airframe.left)
+    assert lost.name == "dropout-jitter"
+
+
 def test_a_simulated_dropout_is_seen_in_what_it_writes(airframe: Airframe) -> None:
     """The effect's own stream: stamps are even, and a lost sample is the one before."""
     from companion.records import Station
@@ -204,6 +213,17 @@ def test_no_range_is_used_where_the_wing_was_not_seen(airframe: Airframe) -> Non
     assert np.diff(observations.toe.toe_rad).max() < 0.0
 
 
+@pytest.mark.parametrize("piece_s", [9.0, 12.0])
+def test_no_range_within_three_seconds_of_an_end_is_used(airframe: Airframe, piece_s: float) -> None:
+    """A short piece fades over less, and the motion is not known there for all that."""
+    inside = span_mask((0.0, piece_s))
+    at_s = np.arange(0.05, piece_s, 0.02)
+    tips = {side: RawStream(T_S[inside], VALUES[inside]) for side in Side}
+    (got,) = observe(RawRecording(tips, None, RawRanges(at_s, np.full(len(at_s), 40.0))), airframe, TOP_HZ)
+    assert got.toe is not None
+    assert 3.0 <= got.toe.t_s.min() < got.toe.t_s.max() <= piece_s - 3.0
+
+
 def test_samples_that_are_no_numbers_count_as_lost(airframe: Airframe) -> None:
     holed = VALUES.copy()
     holed[5000:5030], holed[12_000] = np.nan, np.inf
@@ -244,3 +264,14 @@ def test_a_range_that_is_no_number_is_left_out_and_an_infinite_one_is_not(airfra
     assert got.toe is not None
     np.testing.assert_array_equal(got.toe.t_s, np.delete(at_s, 50))
     assert np.isfinite(got.toe.toe_rad).all()
+
+
+def test_a_dead_channel_is_named(airframe: Airframe) -> None:
+    tips = {Side.LEFT: RawStream(T_S, np.zeros(COUNT)), Side.RIGHT: RawStream(T_S, VALUES)}
+    with pytest.raises(RecordingError, match="left_z never changes: check its sensor"):
+        observe(RawRecording(tips), airframe, TOP_HZ)
+
+
+def test_drop_outs_to_zero_end_no_range(airframe: Airframe) -> None:
+    force = np.where(np.arange(COUNT) % 500 < 2, 0.0, VALUES - 9.8)
+    assert "saturation" not in [entry.name for entry in find_sample_defects(T_S, force, airframe.left)]

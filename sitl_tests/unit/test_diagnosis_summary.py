@@ -46,11 +46,25 @@ def test_a_cause_is_told_with_its_value_and_what_it_is_worth_in_metres() -> None
     assert "strike the fuselage once" in sentences["next"]
 
 
+def test_of_an_unexplained_flight_the_worth_was_not_measured() -> None:
+    worth = summary_sentences(diagnosed("unexplained", None, gain=None), [])["worth"]
+    assert worth == "What it is worth was not measured on held-out blocks, because no effect explains this recording."
+    assert "No image matches" in summary_sentences(diagnosed("explained", None), [])["worth"]
+
+
 @pytest.mark.parametrize("at_60_m", [(1.82, 1.80), (0.46, 0.43), (0.46, 0.50)])
 def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[float, float]) -> None:
     sentences = summary_sentences(diagnosed("explained", at_60_m), [])
     assert sentences["worth"].startswith("Named, but not worth flying")
     assert "--apply" not in sentences["next"]
+
+
+def test_what_belongs_to_the_recording_is_not_for_the_airframe_file() -> None:
+    kick = CAUSE | {"name": "impulsive-forcing"}
+    sentences = summary_sentences(diagnosed("explained", None, causes=[kick]), [])
+    assert "--apply" not in sentences["next"]
+    assert "Not for the airframe file, for it belongs to this recording: impulsive-forcing." in sentences["next"]
+    assert "--apply" in summary_sentences(diagnosed("explained", None, causes=[kick, CAUSE]), [])["next"]
 
 
 def test_the_gain_is_told_in_mrad_of_toe_too() -> None:

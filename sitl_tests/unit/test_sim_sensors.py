@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.core.wing.lowpass import Biquad
+from companion.diagnosis.data.sample_defects import find_sample_defects
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect, Source
 from companion.params.files import load_airframe, shipped_airframes
@@ -294,6 +295,10 @@ def test_every_airframe_flies(name: str) -> None:
         ("convergence-offset", {"toe_rad": 0.01}),
         ("camera-asymmetry", {"ratio": 0.1, "both": 0.1}),
         ("exposure-delay", {"delay_s": 0.02}),
+        ("mount-lag", {"lag_s": 0.01}),
+        ("mount-resonance", {"softness_s2": 1e-4}),
+        ("rolling-shutter", {"readout2_s2": 1e-3}),
+        ("exposure-jitter", {"jitter2_us2": 1e8}),
     ],
 )
 def test_ranges_of_a_table_show_an_effect_on_the_cameras(name: str, values: dict[str, float], tmp_path: Path) -> None:
@@ -314,3 +319,18 @@ def test_ranges_of_a_table_show_an_effect_on_the_cameras(name: str, values: dict
         assert np.median(changed / disparity_px[0]) == pytest.approx(0.05, abs=0.02)
     else:
         assert np.std(changed) + abs(np.mean(changed)) > 0.1
+
+
+@pytest.mark.parametrize("name", ["saturation", "quantisation", "dropout-jitter"])
+def test_samples_of_a_table_show_their_defect_through_noise_and_low_pass(name: str, tmp_path: Path) -> None:
+    values = {"saturation": {"inverse_s2pm": 0.1}, "quantisation": {"step_mps2": 0.5}, "dropout-jitter": {"lost": 0.1}}
+    airframe = load_airframe("nadir-2m")
+    write_csv(build_flight(airframe, 5, 4.0, perturbed=False, effects=(NamedEffect(name, values[name]),)), tmp_path)
+    with (tmp_path / "accel.csv").open(encoding="utf-8") as file:
+        rows = [[float(row[key]) for key in ("t_s", "left_z_mps2", "left_x_mps2")] for row in csv.DictReader(file)]
+    t_s, force_z, force_x = np.array(rows).T
+    if name == "dropout-jitter":  # in steps as coarse as the sensor's, repeated values alone are no evidence
+        held = (np.diff(force_z) == 0.0) & (np.diff(force_x) == 0.0)
+        assert np.mean(held) == pytest.approx(0.1, abs=0.03)
+    else:
+        assert name in [entry.name for entry in find_sample_defects(t_s, force_z, airframe.left)]

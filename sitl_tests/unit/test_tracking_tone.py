@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -82,3 +83,15 @@ def test_a_short_or_a_far_window_is_refused() -> None:
 def test_a_sensor_that_sends_the_same_value_for_ever_holds_no_tone() -> None:
     t = np.arange(1400) / 333.0
     assert _listen(np.zeros(len(t)), t).estimate(EPOCH_NS + 2_100_000_000) is Reject.NO_MODE
+
+
+def test_a_wide_search_starts_where_the_spectrum_is_largest_and_takes_little_memory() -> None:
+    """Stamps that wander, between 2 and 200 Hz at 1 kHz: a table of all exponentials would take 200 MB."""
+    rng = np.random.default_rng(5)
+    t = np.sort(np.arange(4000) / 1000.0 + rng.uniform(-4e-4, 4e-4, 4000)) - 2.0
+    z = np.cos(2 * np.pi * 131.3 * t) + 0.8 * np.cos(2 * np.pi * 9.1 * t) + rng.standard_normal(len(t))
+    tracemalloc.start()
+    line = ToneTracker(Station.LEFT, SENSOR, (2.0, 200.0))._line(t, z)
+    assert tracemalloc.get_traced_memory()[1] < 2e7
+    tracemalloc.stop()
+    assert line.frequency_hz == pytest.approx(131.3, abs=0.01)

@@ -183,6 +183,8 @@ class Effect:
     """Law without a name that is its own, as sharp or as smooth as a recording has it: no rival of the name."""
     transient: ClassVar[bool] = False
     """Whether it acts at instants of its own: then no block of a recording foretells another."""
+    instants: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are instants of a recording: their prior is its length, not the declared sigma."""
     adds_toe_variance: ClassVar[bool] = False
     """Whether the variance of the measured toe follows from it, beside or in place of the mean."""
     starts_at: ClassVar[ResidualPeak | None] = None
@@ -217,11 +219,23 @@ class Effect:
         del motion
         return None
 
+    def kick_spectrum(self, omega_radps: Floats, count: int, start_s: float, stop_s: float) -> Complexes:
+        """Fourier transform (count, f) of the modal loads of a ``transient`` effect between two times, from the first.
+
+        What lasts for less than a sample has a spectrum beyond all of the samples'.
+        """
+        raise NotImplementedError(f"effect '{self.name}' is transient and needs a kick_spectrum()")
+
     @classmethod
     def may_follow(cls, channel: str) -> bool:
         """Whether the effect may follow a recorded channel of this name; asked where ``follows_channel``."""
         del channel
         return cls.follows_channel
+
+    @classmethod
+    def belongs_to_recording(cls) -> bool:
+        """Whether its values are those of one recording (losses of a link, instants, a phase) and of no airframe."""
+        return cls.in_samples or cls.transient or cls.starts_at is not None
 
     @classmethod
     def forces_modes(cls) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 TAPER = 0.05
 """Share of a recording over which each end fades in its spectra (choice)."""
-_FADES_S = 3.0  # convention: two periods of the lowest frequency of the band, 0.15 of some 5 Hz
+FADES_S = 3.0
+"""At either end the smoothed wing is not known: two periods of the lowest frequency, 0.15 of some 5 Hz (convention)."""
 _MOST_FADED = 0.15  # share of a short recording at either end, so that its middle is left (choice)
 
 
 def faded_share(duration_s: float) -> float:
     """Share of a recording over which each end fades before its motion is smoothed."""
-    return max(TAPER, min(_FADES_S / duration_s, _MOST_FADED))
+    return max(TAPER, min(FADES_S / duration_s, _MOST_FADED))
 
 
 def fast_length(count: int, up: bool) -> int:

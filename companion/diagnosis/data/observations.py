@@ -12,12 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.wing.samples import SampleDefect
-from companion.diagnosis.data.grid import faded_share, fast_length
+from companion.diagnosis.data.grid import FADES_S, faded_share, fast_length
 from companion.diagnosis.data.recoil import RecoilDelay
 from companion.records import Bools, Floats, Ints, Side
 
 _FEWEST_EXPOSURES = 5  # chosen: fewer exposures of a part are not used
-_MARGIN_S = 1.0  # at either end, where the smoothed wing is not known (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +207,9 @@ class Observations:
 
 
 def clear_of_ends(t_s: Floats, start_s: float, stop_s: float) -> Bools:
-    """Which instants (m,) are far enough from the ends, where the smoothed wing is not known: as far as these fade."""
-    margin_s = max(_MARGIN_S, faded_share(stop_s - start_s) * (stop_s - start_s))
+    """Which instants (m,) are far enough from the ends, where the smoothed wing is not known.
+
+    In a short piece the ends fade sooner, but the smoother has no more to go by there.
+    """
+    margin_s = max(FADES_S, faded_share(stop_s - start_s) * (stop_s - start_s))
     return np.asarray((t_s > start_s + margin_s) & (t_s < stop_s - margin_s))

@@ -39,6 +39,8 @@ def _rows_of_numbers(
     columns = [stream.t_s, stream.force_z_mps2, *(values for _, values in beside.values())]
     lateral = stream.force_y_mps2
     good = np.all([np.isfinite(column) for column in (*columns, *([] if lateral is None else [lateral]))], axis=0)
+    if len(stream.t_s) > 1 and good.any() and np.ptp(stream.force_z_mps2[good]) == 0.0:
+        raise RecordingError(f"{name}_z never changes: check its sensor, or leave it out of the recording")
     if good.all():
         return stream, dict(beside)
     if not good.any():

@@ -95,6 +95,8 @@ def _changing(model: FlightModel, expectation: Expectation, rng: np.random.Gener
     edges = edges[np.append(np.diff(edges) >= _FEWEST, True)]
     if count - edges[-1] < _FEWEST + _SWINGS:
         edges = edges[:-1]
+    if not len(edges):  # a segment of a few seconds has too few bins for any band
+        return {}
     taper = np.interp(
         np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, len(model.transforms.taper)), model.transforms.taper
     )

@@ -216,20 +216,23 @@ def _spectral(models: Sequence[FlightModel]) -> _TestFamily:
     columns: list[list[Column]] = [[] for _ in models]
     top_hz = max(float(model.band_hz[-1]) for model in models)
     edges = np.geomspace(float(models[0].band_hz[0]), top_hz * 1.0001, _BANDS + 1)
+    # one recording may have a side that another lacks
+    entries = list(dict.fromkeys(entry for model in models for entry in _entries(model)))
     for low, high in itertools.pairwise(edges.tolist()):
-        bins = sum(model.weight * float(_inside(model, low, high).sum()) for model in models)
-        if not any(_inside(model, low, high).sum() > 4 for model in models):
-            continue
-        for k, what in enumerate(_entries(models[0])):
+        for what in entries:
+            showing = [model for model in models if what in _entries(model)]
+            if not any(_inside(model, low, high).sum() > 4 for model in showing):
+                continue
+            bins = sum(model.weight * float(_inside(model, low, high).sum()) for model in showing)
             names.append(f"{what} near {np.sqrt(low * high):.1f} Hz")
             is_power = what.endswith("spectrum")
             skewness.append(2.0 / math.sqrt(bins) if is_power else 0.0)
             kurtosis.append((_EXPONENTIAL if is_power else _LAPLACE) / bins)
             for model, recording_columns in zip(models, columns, strict=True):
-                inside = _inside(model, low, high).astype(float)
-                packed = np.zeros(len(_entries(model)) * len(inside))
-                packed[k * len(inside) : (k + 1) * len(inside)] = inside
-                recording_columns.append(Column(power=packed))
+                packed = np.zeros((len(_entries(model)), len(model.band_hz)))
+                if what in _entries(model):
+                    packed[_entries(model).index(what)] = _inside(model, low, high)
+                recording_columns.append(Column(power=packed.ravel()))
     return _TestFamily(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 

@@ -116,7 +116,9 @@ def believe(
     uncertain = [entry for entry in nuisances if entry.sigma > 0.0]
     if recordings > 1:
         uncertain = [entry_of for entry in uncertain for entry_of in _for_each(entry, recordings)]
-    in_force = tuple(EffectTerm(make_effect(entry), entry.channel) for entry in airframe.effects)
+    listed = [EffectTerm(make_effect(entry), entry.channel) for entry in airframe.effects]
+    # a kick or a tone's phase in the file is that of another recording
+    in_force = tuple(term for term in listed if not term.effect.belongs_to_recording())
     return Belief(airframe, tuple(uncertain), in_force)
 
 

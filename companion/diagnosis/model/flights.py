@@ -23,6 +23,8 @@ from companion.diagnosis.selection.fit import Fit, climb
 from companion.records import Floats
 
 _STEP = 1e-4  # of a parameter's prior sigma, for differences (numerical)
+# the same of a frequency or an instant, whose prior is wide beside what a phase tells of it (numerical)
+_STEP_OF_PHASE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +40,9 @@ class FlightsLikelihood:
 
     def __init__(self, models: Sequence[FlightModel], terms: Sequence[EffectTerm], wider: float = 1.0) -> None:
         self._models, self._terms = models, tuple(terms)
-        self.parameters = priors(models[0].belief, terms, wider)
-        self._sigmas: Floats = np.array([entry.sigma for entry in self.parameters])
+        self.parameters = _anywhere(models, terms, priors(models[0].belief, terms, wider))
+        # a difference is no better for a wider prior
+        self._sigmas: Floats = np.array([entry.sigma for entry in priors(models[0].belief, terms)])
         self._reached: list[tuple[Floats, FlightState, tuple[Expectation, ...]]] = []
 
     def start(self, nuisances: Floats | None = None) -> Floats:
@@ -185,6 +188,19 @@ def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> t
     )
 
 
+def _anywhere(
+    models: Sequence[FlightModel], terms: Sequence[EffectTerm], parameters: Sequence[Parameter]
+) -> tuple[Parameter, ...]:
+    """The parameters with instants anywhere in the recordings: the normal law of the same mean and variance."""
+    begin_s = min(model.observations.start_s for model in models)
+    length_s = max(model.observations.start_s + model.observations.duration_s for model in models) - begin_s
+    instants = {name for term in terms for name in type(term.effect).instants}
+    return tuple(
+        Parameter(entry.key, begin_s + 0.5 * length_s, length_s / math.sqrt(12.0)) if entry.key in instants else entry
+        for entry in parameters
+    )
+
+
 def derivatives(
     models: Sequence[FlightModel],
     values: Floats,
@@ -208,7 +224,7 @@ def derivatives(
             if isinstance(owner, Nuisance) and not owner.concerns(model.recording):
                 recording_columns.append(Column())
                 continue
-            other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
+            other, step = _beside(model, expectation, values, i, _step(owner) * float(sigmas[i]), terms)
             if isinstance(owner, Nuisance):
                 shift, warps = model.delay_shift(owner), False
             else:
@@ -218,12 +234,19 @@ def derivatives(
     return columns
 
 
+def _step(owner: Nuisance | tuple[Effect, int]) -> float:
+    """Step of a difference quotient in units of the prior sigma."""
+    if isinstance(owner, Nuisance) or owner[0].starts_at is None:
+        return _STEP
+    return _STEP_OF_PHASE if owner[0].parameters()[owner[1]].unit in ("Hz", "s") else _STEP
+
+
 def _beside(
-    model: FlightModel, expectation: Expectation, values: Floats, i: int, sigma: float, terms: Sequence[EffectTerm]
+    model: FlightModel, expectation: Expectation, values: Floats, i: int, step_up: float, terms: Sequence[EffectTerm]
 ) -> tuple[Expectation, float]:
     """An expectation with one parameter a small step up, or down where a step up is not physical; and the step."""
     count = len(model.belief.nuisances)
-    for step in (_STEP * sigma, -_STEP * sigma):
+    for step in (step_up, -step_up):
         perturbed = values.copy()
         perturbed[i] += step
         try:

@@ -34,9 +34,12 @@ class RecordedSpectra:
 
 @dataclass(frozen=True, slots=True)
 class _Forces:
-    """Forces of state and time on a motion (n, m each): linearisation, and the spectrum of its residual (n, f)."""
+    """Forces of state and time on a motion (n, m each): linearisation, and the spectrum of its residual (n, f).
 
-    motion: tuple[Floats, Floats]
+    The motion is None where nothing acts but laws that follow none.
+    """
+
+    motion: tuple[Floats, Floats] | None
     sigma_m: float
     linearised: StatisticalLinearisation
     rest: Complexes | None
@@ -96,7 +99,13 @@ class SmoothedMotion:
         """Add the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
         A second pass has the motion by the rest of the first: a wing that is softer one way sags with its amplitude.
+        Kicks and lines follow no motion, and need none.
         """
+        if all(term.effect.transient or type(term.effect).additive for term in self._terms):
+            still = np.zeros((self._wing.count, self._transforms.count))
+            forces = self._forces_on_motion(self._wing, self._terms, (still, still), 0.0)
+            self._add(replace(forces, motion=None))
+            return
         for _ in range(_PASSES):
             smoother = self._smoother()
             motion, sigma_m = self._smoothed(smoother), self._posterior_sigma_m(smoother)
@@ -109,9 +118,12 @@ class SmoothedMotion:
         damping = structure.damping_radps - linearised.per_qdot
         if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
             raise ValueError("these forces make the wing unstable")
-        self._forces = forces
         effective = replace(structure, stiffness_radps2=stiffness, damping_radps=damping)
         self._take(linear_of(effective, linearised.filtered))
+        self._add(forces)
+
+    def _add(self, forces: _Forces) -> None:
+        self._forces = forces
         if forces.rest is not None:
             self._deterministic_load = forces.rest if self._measured is None else forces.rest + self._measured
 
@@ -136,7 +148,7 @@ class SmoothedMotion:
             return forces if count == wing.count else _with_modes(forces, wing.count - count)
         if count < wing.count:
             return None
-        if forces is None:
+        if forces is None or forces.motion is None:
             return self._forces_on_motion(wing, terms, self.in_time, self._posterior_sigma_m(self.smoother))
         return self._forces_on_motion(wing, terms, forces.motion, forces.sigma_m)
 
@@ -249,5 +261,5 @@ def _with_modes(forces: _Forces, more: int) -> _Forces:
         longer(linearised.residual_mps2),
         None if linearised.filtered is None else longer(linearised.filtered),
     )
-    motion = longer(forces.motion[0]), longer(forces.motion[1])
+    motion = None if forces.motion is None else (longer(forces.motion[0]), longer(forces.motion[1]))
     return _Forces(motion, forces.sigma_m, wider, None if forces.rest is None else longer(forces.rest))

@@ -29,7 +29,6 @@ _BUMP = 1e-3  # of the standard deviation, for a difference quotient (numerical)
 _BUMP_OF_MOTION = 0.05  # of its standard deviation, for a difference quotient across a kink (choice)
 _NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
 """Gauss and Hermite's rule of four places, over a standard normal (by definition: Abramowitz and Stegun 25.10)."""
-_FINER = 8  # points a sample at which a short load is evaluated before it is cut to the band (choice)
 _SHARP = 0.03  # unknown deflection over its rms, below which laws are not averaged over it (choice)
 _INVERSIONS = 6  # Newton steps (numerical)
 _FLATTEST = 0.3  # least slope of a sensor's law that is inverted (choice)
@@ -244,16 +243,10 @@ class SensorLineariser:
         return self._impulses.get((effect, wing.count), lambda: self._cut_to_band(wing, effect))
 
     def _cut_to_band(self, wing: WingModel, effect: Effect) -> Floats:
-        count = len(self._observations.up_mps2)
-        t_s: Any = self._observations.start_s + np.arange(_FINER * count) / (_FINER * self._observations.rate_hz)
-        still, static = np.zeros((wing.count, len(t_s))), np.zeros((wing.count, 1))
-        load = effect.force(ModalMotion(t_s, still, still, static, 1.0, wing.structure, still[0]))
-        if load is None:
-            return np.zeros((wing.count, count))
-        cut = np.zeros((wing.count, count))
-        for k in np.flatnonzero(np.any(load, axis=1)):
-            cut[k] = np.fft.irfft(np.fft.rfft(load[k])[: count // 2 + 1], count) / _FINER
-        return cut
+        rate_hz, start_s, count = self._observations.rate_hz, self._observations.start_s, len(self._t_s)
+        omega_radps: Floats = np.asarray(2.0 * np.pi * np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
+        spectrum = effect.kick_spectrum(omega_radps, wing.count, start_s, start_s + count / rate_hz)
+        return np.asarray(np.fft.irfft(rate_hz * spectrum, count, axis=1))
 
     def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
         """A station's reading (m,) at the instants at which it belongs: read at the mirrored ones."""

@@ -117,8 +117,8 @@ def maximise(
         scores = model.scores(values)
     information = prior.added(values, scores)[1]
     log_posterior = scores.log_likelihood + prior.log_density(values)
-    evidence = log_posterior - float(np.sum(np.log(prior.sigmas))) - 0.5 * float(np.linalg.slogdet(information)[1])
-    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    log_determinant, covariance = prior.posterior(information)
+    evidence = log_posterior - 0.5 * log_determinant
     return Maximum(values, covariance, scores.log_likelihood, evidence, converged, scores.state)
 
 
@@ -137,6 +137,15 @@ class NormalPrior:
         """Gradient (p,) and information (p, p) of the posterior."""
         gradient = scores.gradient - (values - self.centres) / self.sigmas**2
         return gradient, scores.information + np.diag(1.0 / self.sigmas**2)
+
+    def posterior(self, information: Floats) -> tuple[float, Floats]:
+        """Log determinant of the posterior's information (p, p) in units of the prior's, and its covariance (p, p).
+
+        No direction holds less than the prior: rounding may leave a sum of large terms indefinite.
+        """
+        values, vectors = np.linalg.eigh(information * np.outer(self.sigmas, self.sigmas))
+        values, along = np.maximum(values, 1.0), self.sigmas[:, None] * vectors
+        return float(np.sum(np.log(values))), np.asarray((along / values) @ along.T)
 
 
 def _derivatives_hold(predicted: float, gained: float) -> bool:

@@ -166,7 +166,7 @@ class ForwardSelection(Generic[TermT, State]):
             if candidate.z <= CERTAIN_Z and _MORE_THAN_PROMISED * candidate.log_odds < most - _CONCEIVABLE:
                 continue
             self._progress(f"refit {candidate.name}", i / len(leading))
-            with_it = _names(path.fitted) | {(candidate.name, candidate.term.channel)}
+            with_it = _names(path.fitted) | {_name_of(candidate)}
             twin = reached.get(with_it)
             refitted = self._recordings.refit(path.fitted, candidate) if twin is None else (candidate, twin)
             if refitted is not None:
@@ -185,7 +185,7 @@ class ForwardSelection(Generic[TermT, State]):
             terms = tuple(term for i, term in enumerate(pruned.fitted.terms) if i != index)
             self._progress(f"do without {cause.term.name}", 0.0)
             previous = path.stages[-2] if pruned.fitted is path.fitted and index == len(terms) else None
-            without = previous if previous and previous.converged else self._recordings.fit(terms, pruned.fitted)
+            without = previous if previous and previous.converged else self._fewer(terms, pruned.fitted)
             factor = pruned.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)
             if factor < ENOUGH_MORE and others:
@@ -196,6 +196,13 @@ class ForwardSelection(Generic[TermT, State]):
                 causes[index] = dataclasses.replace(causes[index], log_bayes_factor=factor, bic=bic)
                 pruned = dataclasses.replace(pruned, causes=tuple(causes))
         return pruned
+
+    def _fewer(self, terms: Sequence[TermT], near: Fit[TermT, State]) -> Fit[TermT, State]:
+        """Fit of fewer terms: one that stays far behind need not reach its top."""
+        fitted = self._recordings.fit(terms, near, quick=True)
+        if fitted.converged or near.log_evidence - fitted.log_evidence > ENOUGH_MORE + _WITHIN:
+            return fitted
+        return self._recordings.fit(fitted.terms, fitted)
 
     def _stages(self, null: Fit[TermT, State], terms: Sequence[TermT]) -> tuple[Fit[TermT, State], ...]:
         stages = [null]
@@ -274,17 +281,22 @@ def _alike(
 
     Alike are also names whose penalised likelihoods are close, where only the priors of their strengths rank them.
     """
-    key = best.candidate.name, best.candidate.term.channel
-    row = [(candidate.name, candidate.term.channel) for candidate in screening.candidates].index(key)
-    refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
+    key = _name_of(best.candidate)
+    row = [_name_of(candidate) for candidate in screening.candidates].index(key)
+    refitted = {_name_of(entry.candidate): entry.log_bayes_factor for entry in tried}
     alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
     alike |= {
-        entry.candidate.name
+        _name_of(entry.candidate)
         for entry in tried
         if best.worth - entry.worth < _TOO_CLOSE and best.log_bayes_factor - entry.log_bayes_factor < _CONCEIVABLE
     }
     for other, rho in zip(screening.candidates, screening.correlation[row], strict=True):
-        factor = refitted.get(other.name, other.log_odds)
+        factor = refitted.get(_name_of(other), other.log_odds)
         if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:
-            alike.add(other.name)
-    return tuple(sorted(alike - {best.candidate.name}))
+            alike.add(_name_of(other))
+    return tuple(f"{name} ({channel})" if channel else name for name, channel in sorted(alike - {key}))
+
+
+def _name_of(candidate: Candidate[TermT]) -> tuple[str, str]:
+    """Name and channel: one effect may follow one of several channels that are alike."""
+    return candidate.name, candidate.term.channel

@@ -186,6 +186,16 @@ class RealSensor:
         calm = lowpassed(limited(raw, mounted), mounted.lowpass_accel_hz, mounted.lowpass_gyro_hz, rate_hz)
         return on_wire(calm, mounted)
 
+    def recorded(self, finished: Floats, t_boot_ns: Ints) -> Floats:
+        """Finished samples (n, 6) with what shows in samples themselves, which noise and low-pass have blurred."""
+        shown_s: Floats = t_boot_ns * np.float64(1e-9)
+        defects = [effect for effect in self.model.effects if effect.in_samples]
+        for effect in defects:
+            shown_s = effect.sample_time(self.station, shown_s)
+        rows = np.arange(len(shown_s))  # of a lost sample, which shows the instant before, that before it
+        rows = np.maximum.accumulate(np.where(np.diff(shown_s, prepend=-np.inf) == 0.0, 0, rows))
+        return sensed(defects, self.station, shown_s, finished[rows])
+
 
 def node_stream(real: RealSensor, clock: TrueClock, duration_s: float, rng: np.random.Generator) -> SensorStream:
     """Sample a wing node for the whole flight: own clock, own phase, own delay on the wire."""
@@ -195,7 +205,7 @@ def node_stream(real: RealSensor, clock: TrueClock, duration_s: float, rng: np.r
     count = int((duration_s * 1e9 - 4 * period) // period)
     node_ns = first + period * np.arange(count, dtype=np.int64)
     boot = clock.to_boot(node_ns)
-    values = real.finish(real.sample(boot, period, rng), sensor.rate_hz)
+    values = real.recorded(real.finish(real.sample(boot, period, rng), sensor.rate_hz), boot)
     # the window must end before the sample exists; then a little work and the wire
     delay = period // 2 + 150_000 + rng.exponential(50_000.0, count).astype(np.int64)
     sent = np.maximum.accumulate(boot + delay)

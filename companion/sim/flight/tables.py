@@ -6,6 +6,8 @@ and low-pass are those of the flight.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,9 @@ import numpy as np
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import log_rotation, relative_rotation
 from companion.core.wing.effect import viewed
-from companion.core.wing.effects import apply_to_airframe
+from companion.core.wing.effects import apply_to_airframe, make_effects
 from companion.errors import ConfigError
+from companion.params.airframe import Airframe
 from companion.records import AXIS_LETTERS, Floats, Ints, Side, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
@@ -63,7 +66,7 @@ def _write_accel(flight: Flight, path: Path) -> Path:
         raw = real.sample(times, period_ns, flight.generator(f"table {station}"))
         keep = sensor.axes.columns
         names += [f"{station.name.lower()}_{AXIS_LETTERS[column]}_{_UNITS[column]}" for column in keep]
-        blocks.append(real.finish(raw, BACKEND_HZ)[:, keep])
+        blocks.append(real.recorded(real.finish(raw, BACKEND_HZ), times)[:, keep])
     return _write(path, names, times, np.hstack(blocks), "%.6f")
 
 
@@ -81,6 +84,7 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
     if times.size and not (exposed[0] >= 0 and exposed[-1] <= flight.truth.end_ns):
         raise ConfigError(f"an exposure delay of {late_s:g} s: the exposures lie outside the flight")
     truth = flight.truth.series(exposed)
+    truth = dataclasses.replace(truth, slope_rad=_slopes_seen(flight, cameras, truth))
     reference = reference_m(truth, flight.airframe.orientation)
     toe = np.array([toe_rad(belief, real, truth, row) for row in range(len(times))])
     disparity = left.focal_px.value * (real.baseline_m / reference + toe)
@@ -88,6 +92,27 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
     rigid = believed.focal_px.value * belief.baseline_m / disparity
     table = np.stack([rigid, reference, disparity], 1)
     return _write(path, ["t_s", "range_m", "reference_m", "disparity_px"], times, table, "%.5f")
+
+
+def _slopes_seen(flight: Flight, cameras: Airframe, truth: TruthSeries) -> Floats:
+    """Slopes (n, 2) that the images show: through a mount that lags or rings, a slow shutter, a wandering trigger."""
+    effects = make_effects(cameras.effects)
+    views = [dataclasses.replace(viewed(effects, side, 0.0), slope_gain=1.0) for side in Side]
+    if all(len(view.follows(np.zeros(2))) == 1 for view in views):
+        return truth.slope_rad
+    period_ns = round(1e9 / BACKEND_HZ)
+    grid_ns = period_ns * np.arange(2, int(flight.duration_s * BACKEND_HZ) - 2, dtype=np.int64)
+    slope_rad = flight.truth.series(grid_ns).slope_rad
+    omega: Floats = np.asarray(2.0 * np.pi * np.fft.rfftfreq(len(grid_ns), 1.0 / BACKEND_HZ), dtype=np.float64)
+    rng, seen_rad = flight.generator("exposures"), np.empty_like(truth.slope_rad)
+    together = rng.standard_normal(len(seen_rad))
+    for side, view in zip(Side, views, strict=True):
+        steady = dataclasses.replace(view, jitter_s=0.0).follows(omega)
+        passed = np.fft.irfft(steady * np.fft.rfft(slope_rad[:, side]), len(grid_ns))
+        alone = rng.standard_normal(len(seen_rad))
+        wander = math.sqrt(view.jitter_shared) * together + math.sqrt(1.0 - view.jitter_shared) * alone
+        seen_rad[:, side] = np.interp(truth.t_boot_ns + 1e9 * view.jitter_s * wander, grid_ns, passed)
+    return seen_rad
 
 
 def reference_m(truth: TruthSeries, orientation: int) -> Floats:

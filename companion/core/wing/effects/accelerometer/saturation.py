@@ -64,6 +64,8 @@ class Saturation(Effect):
 def _pile(values: Floats) -> tuple[float, int, float, float] | None:
     """The largest value, how many samples are at it, how many a smooth tail would have there, and within what width."""
     top, spread = float(values.max()), 0.02 * float(values.std())
+    if spread <= 0.0 or top == 0.0:  # a dead channel, or drop-outs to 0: no range ends there
+        return None
     width = max(lattice_step(values), 1e-6 * max(abs(top), 1.0))
     piled = int(np.sum(values > top - 0.5 * width))
     beside = int(np.sum((values > top - 1.5 * width) & (values <= top - 0.5 * width)))

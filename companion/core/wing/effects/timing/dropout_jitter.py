@@ -18,6 +18,8 @@ _LONGEST_LOSS = 10.0  # chosen: samples; a longer loss is a gap, which is told e
 _WANDERING = 0.15  # chosen: of a period: a smaller jitter blurs no mode
 _FINE = 0.8  # of all values are distinct where none is rounded (choice)
 _SHARED = 0.1  # chosen: of the stamps: so many shared ones are a coarse clock, not lost samples
+_COARSE = 0.2  # chosen: of the mean step: finer rounding of stamps turns no step into two
+_ROUNDED = 0.66  # of rounding's standard deviation, up to which stamps that wander may be rounded alone (choice)
 _MEAN_OF = 65  # chosen: stamps of the running mean: many beside jitter, few beside a clock's drift
 
 
@@ -57,6 +59,11 @@ class DropoutJitter(Effect):
                 return cls._defect(t_s, period, wanders, held) if _is_defect(held, wanders, period) else None
             t_s = by_stamp  # rows that arrived in another order, or twice
         steps = np.diff(t_s)
+        resolution = _resolution(steps)
+        if resolution > _COARSE * float(np.mean(steps)):
+            period, wanders = _about_the_mean(t_s, resolution)
+            if wanders < _ROUNDED * resolution / math.sqrt(12.0):
+                return cls._defect(t_s, period, wanders, held) if _is_defect(held, wanders, period) else None
         period = float(np.median(steps))
         periods = np.maximum(np.round(steps / period), 1.0)
         single = periods <= _LONGEST_LOSS  # longer ones are gaps, which are told elsewhere
@@ -92,7 +99,13 @@ def _held(values: Floats) -> float:
     return float(np.mean((np.diff(values) == 0.0)[clear[1:]])) if fine and clear[1:].any() else 0.0
 
 
-def _about_the_mean(t_s: Floats) -> tuple[float, float]:
+def _resolution(steps_s: Floats) -> float:
+    """How finely stamps are written, by the smallest difference of two of their steps; 0 where all are the same."""
+    sizes = np.unique(np.round(steps_s, 9))
+    return float(np.min(np.diff(sizes))) if len(sizes) > 1 else 0.0
+
+
+def _about_the_mean(t_s: Floats, resolution_s: float = 0.0) -> tuple[float, float]:
     """Usual step, and how far stamps in the order of their rows lie about their running mean beyond their rounding."""
     period = float(np.median(t_s[_MEAN_OF:] - t_s[:-_MEAN_OF])) / _MEAN_OF if len(t_s) > _MEAN_OF else math.inf
     off = t_s - smoothed_stamps(t_s, _MEAN_OF)
@@ -100,6 +113,7 @@ def _about_the_mean(t_s: Floats) -> tuple[float, float]:
     distinct = np.unique(t_s)
     coarse = len(distinct) < (1.0 - _SHARED) * len(t_s)
     rounding = float(np.median(np.diff(distinct))) ** 2 / 12.0 if coarse and len(distinct) > 1 else 0.0
+    rounding = max(rounding, resolution_s**2 / 12.0)
     return period, math.sqrt(max(float(np.mean(off[usual] ** 2)) - rounding, 0.0)) if usual.any() else 0.0
 
 
