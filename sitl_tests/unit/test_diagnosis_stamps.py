@@ -204,9 +204,10 @@ def test_no_range_is_used_where_the_wing_was_not_seen(airframe: Airframe) -> Non
     inside = span_mask((0.0, 8.0), (8.6, 20.0))
     at = np.arange(0.05, 20.0, 0.1)
     rng = np.random.default_rng(6)
+    far = np.full(len(at), 50.0)
     shown = rng.permutation(len(at))  # rows of the ranges may come in any order, too
     tips = {side: RawStream(T_S[inside], VALUES[inside]) for side in Side}
-    (observations,) = observe(RawRecording(tips, None, RawRanges(at[shown], 40.0 + at[shown])), airframe, TOP_HZ)
+    (observations,) = observe(RawRecording(tips, None, RawRanges(at[shown], 40.0 + at[shown], far)), airframe, TOP_HZ)
     assert observations.toe is not None
     assert np.diff(observations.toe.t_s).min() > 0.05
     assert not ((observations.toe.t_s > 7.4) & (observations.toe.t_s < 9.2)).any()
@@ -275,3 +276,18 @@ def test_a_dead_channel_is_named(airframe: Airframe) -> None:
 def test_drop_outs_to_zero_end_no_range(airframe: Airframe) -> None:
     force = np.where(np.arange(COUNT) % 500 < 2, 0.0, VALUES - 9.8)
     assert "saturation" not in [entry.name for entry in find_sample_defects(T_S, force, airframe.left)]
+
+
+@pytest.mark.parametrize(("climb_m", "judged"), [(0.0, True), (15.0, False)])
+def test_ranges_over_a_distance_that_changes_are_left_out_without_a_reference(
+    airframe: Airframe, climb_m: float, judged: bool
+) -> None:
+    at_s = np.arange(0.05, 20.0, 0.1)
+    range_m = 40.0 + climb_m * at_s / 20.0 + np.random.default_rng(9).standard_normal(len(at_s))
+    tips = {side: RawStream(T_S, VALUES) for side in Side}
+    (got,) = observe(RawRecording(tips, None, RawRanges(at_s, range_m)), airframe, TOP_HZ)
+    assert (got.toe is not None) == judged
+    assert any("no reference_m" in note for note in got.notes) != judged
+    with_reference = RawRanges(at_s, range_m, 40.0 + climb_m * at_s / 20.0)
+    (measured,) = observe(RawRecording(tips, None, with_reference), airframe, TOP_HZ)
+    assert measured.toe is not None

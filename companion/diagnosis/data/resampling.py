@@ -46,6 +46,8 @@ from companion.units import GRAVITY_MPS2
 _FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
 _GAP_MARGIN_S = 1.0  # at most, about a filled gap, where the smoothed motion is not known (choice)
 _LEAST_PER_PERIOD = 4.0  # samples per period of the first mode, so that the band about its peak is seen (choice)
+_BLOCK_S = 5.0  # chosen: means over some periods of a slow sway tell a distance that changes
+_SWAYS = 0.4  # of the scatter within blocks: a wing's means reach 0.26, an aircraft that climbs passes 1.5 (choice)
 _INPUT = "input_"
 _CROWDED = 0.2  # of the usual step: a spline through stamps nearer than that would swing (choice)
 
@@ -81,6 +83,10 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
         notes.append(
             "the root's roll rate was not recorded (root_p_radps): what is slower than the aircraft rolls is not judged"
         )
+    ranges = ordered.ranges
+    if ranges is not None and ranges.reference_m is None and _distance_changes(ranges, airframe, segments):
+        ranges = None
+        notes.append("the ranges are left out: the distance changes, and no reference_m says by how much")
     begun_s = segments[0].start_s
     segmented = [
         dataclasses.replace(
@@ -90,7 +96,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
             toe=toe,
             start_s=segment.start_s - begun_s,
         )
-        for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
+        for observations, segment, toe in zip(observed, segments, _toe(ranges, airframe, segments), strict=True)
     ]
     return in_common_units([segmented], airframe)[0]
 
@@ -338,6 +344,20 @@ def _toe(ranges: RawRanges | None, airframe: Airframe, segments: Sequence[Segmen
         else None
         for exposures in used
     ]
+
+
+def _distance_changes(ranges: RawRanges, airframe: Airframe, segments: Sequence[Segment]) -> bool:
+    """Whether means of the ranges wander more than the believed toe and the wing's sway make them."""
+    left_camera, right_camera = airframe.left_camera, airframe.right_camera
+    used = np.any([_exposures(ranges, segment) for segment in segments], axis=0)
+    if left_camera is None or right_camera is None or used.sum() < _FEWEST_EXPOSURES:
+        return False
+    at_s = ranges.t_s[used]
+    toe_rad = (right_camera.position_m[1] - left_camera.position_m[1]) / ranges.range_m[used]
+    blocks = np.array_split(toe_rad, max(int(np.ptp(at_s) / _BLOCK_S), 2))
+    scatter = float(np.std(np.concatenate([block - block.mean() for block in blocks])))
+    believed = math.sqrt(2.0) * left_camera.rotation_sigma_rad
+    return float(np.std([block.mean() for block in blocks])) > max(believed, _SWAYS * scatter)
 
 
 def _exposures(ranges: RawRanges, segment: Segment) -> Bools:
