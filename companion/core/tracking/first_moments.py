@@ -8,7 +8,7 @@ nobody measures.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from companion.records import Floats
 _MOST_SQUARE = 4.0  # chosen, per row: with the right model it stays below 2
 _OTHERS_SQUARE = 2.0  # chosen, per row: above, more than the first moments is wrong
 _REMEMBERED_S = 1.0  # chosen: as the filter's NIS
+_TEACHES_NOTHING_S = 1.0  # chosen: in which an error of the motion of further modes teaches no constant much
 _MOST_OF_ONE = 100.0  # chosen: ten sigmas, so that a blow of some epochs is no wrong model
 _LEAST_ROWS = 250  # chosen: half a second of both tips, of which chance makes no mean square of 4
 
@@ -30,11 +31,20 @@ class FirstMoments:
     def __init__(self) -> None:
         self.left_out = False
         self._sums: Floats = np.zeros(4)
+        self._taught_s = 0.0  # since constants of further modes began anew
 
     def contradict(self, kalman: SeparatedBiasFilter, count: int, passed_s: float) -> bool:
-        """Look at the newest ``count`` steps of the filter; whether first moments are left out from now on."""
+        """Look at the newest ``count`` steps of the filter; whether first moments are left out from now on.
+
+        Where they are, constants that the motion of further modes teaches begin anew each second: a load that moves
+        inside the epoch passes for that motion.
+        """
         self._sums = math.exp(-passed_s / _REMEMBERED_S) * self._sums + _sums(kalman, count)
         before, self.left_out = self.left_out, self.left_out or _contradict(self._sums)
+        self._taught_s += passed_s
+        if self.left_out and self._taught_s > _TEACHES_NOTHING_S:
+            kalman.reset_bias_parameters(_by_further_modes(kalman.layout.bias_parameters))
+            self._taught_s = 0.0
         return self.left_out and not before
 
     def contradict_trial(self, tried: SeparatedBiasFilter, segments: Iterable[Epochs], step_s: float) -> bool:
@@ -49,6 +59,13 @@ class FirstMoments:
         """Take them from epochs, in place, if they are left out."""
         if self.left_out:
             epochs.present[:, M_LEFT:Y_LEFT] = False
+
+
+def _by_further_modes(names: Sequence[str]) -> list[str]:
+    """Bias parameters that only the motion of modes beyond the first of each family teaches."""
+    first_slopes = ("slope.symmetric", "slope.antisymmetric")
+    slopes = [name for name in names if name.startswith("slope.") and name not in first_slopes]
+    return [*slopes, *(name for name in names if name == "further_shortening")]
 
 
 def _contradict(sums: Floats) -> bool:
