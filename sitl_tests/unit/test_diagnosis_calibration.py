@@ -81,7 +81,7 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
 def test_a_drifting_clock_beside_strong_kicks_is_standard_normal_by_chance() -> None:
     """Three kicks are no matter of chance: what they tell of a clock adds to what a minute of gust tells."""
     kicks = {"at1_s": 4.0, "at2_s": 15.0, "at3_s": 26.0} | {
-        f"{what}{k}_mps": size for what, size in (("symmetric", 3.0), ("antisymmetric", 1.2)) for k in (1, 2, 3)
+        f"{what}{k}_mps": size for what, size in (("symmetric", 3.3), ("antisymmetric", 1.3)) for k in (1, 2, 3)
     }
     term = EffectTerm(catalogue()["impulsive-forcing"].from_values(kicks))
     later = next(kind() for kind in generic_effects() if kind.name == "right side ever later")
