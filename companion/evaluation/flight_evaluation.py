@@ -25,7 +25,7 @@ from companion.evaluation.accuracy_targets import (
     trigger_summary,
     wing_blur_px,
 )
-from companion.evaluation.metrics import SETTLED_S, Scored, range_summary, toe_summary
+from companion.evaluation.metrics import SETTLED_S, UNANSWERED_S, Scored, range_summary, toe_summary
 from companion.evaluation.rendered_shots import RendererProcesses, ShotRecords, ShotRequest, Stage
 from companion.evaluation.replay import own_inputs
 from companion.evaluation.shot_scores import PipelineOutputs, Shots, collect, paired, replayed, score_shots
@@ -37,7 +37,6 @@ from companion.reporting.numbers import finite
 from companion.sim.flight.flight import Flight
 
 TRUSTED_FROM_S = 15.0  # chosen: clocks, tracker and latency have settled
-_UNANSWERED_S = 0.6  # before a flight's end: pairs whose smoothed state is still to come when it is over (choice)
 _RANDOM_RATE_HZ = 4.0  # chosen: some hundred instants in half a minute
 _RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
 _ARRIVAL_NS = 100_000_000  # chosen: read-out and matching of a small companion computer
@@ -195,7 +194,7 @@ def _truth(flight: Flight) -> dict[str, float]:
 def _settled(geometry: TrueGeometry, outputs: PipelineOutputs) -> dict[str, Any]:
     """Pairs from :data:`TRUSTED_FROM_S` on that had time to be corrected, and the share that was published."""
     from_ns = geometry.start_host_ns + round(TRUSTED_FROM_S * 1e9)
-    until_ns = geometry.start_host_ns + round((geometry.flight.duration_s - _UNANSWERED_S) * 1e9)
+    until_ns = geometry.start_host_ns + round((geometry.flight.duration_s - UNANSWERED_S) * 1e9)
     pairs = [i for i, entry in outputs.matches.items() if from_ns <= int(entry.mid_exposure_ns.mean()) <= until_ns]
     trusted = sum(i in outputs.ranges and outputs.ranges[i].trusted for i in pairs)
     return {"from_s": TRUSTED_FROM_S, "pairs": len(pairs), "trusted": trusted}

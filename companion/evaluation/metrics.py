@@ -15,6 +15,7 @@ from companion.records import Bools, Floats
 
 FAST_HZ = 0.5  # between the trim bend and a wing's first mode (choice)
 SETTLED_S = 15.0  # what is judged begins here: a new shaft may hold up learning until 12 s (choice)
+UNANSWERED_S = 0.6  # before a flight's end: pairs whose smoothed state is still to come when it is over (choice)
 DISTANCES_M = (20.0, 60.0, 100.0)  # chosen: a landing's end, the paper's far target, and beyond
 _NEAR = 0.2  # a shot counts for a distance when its true range lies within this share of it (choice)
 

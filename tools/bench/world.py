@@ -36,7 +36,7 @@ import numpy as np
 
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.runner import stored
-from companion.evaluation.metrics import SETTLED_S, is_wrong, rms, slow_part
+from companion.evaluation.metrics import SETTLED_S, UNANSWERED_S, is_wrong, rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
@@ -51,7 +51,6 @@ _LEAST_TRUSTED = {"ideal": 0.9, "fair": 0.9, "tones": 0.9, "rough": 0.5}
 _NEES = (0.8, 1.25)
 _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
-_UNANSWERED_S = 0.6  # before a flight's end: shots whose pair and smoothed state are still to come (choice)
 _MOST_OVER_REFERENCE = 1.15
 
 
@@ -120,7 +119,7 @@ def pooled(row: CampaignRow, parts: list[dict[str, Any]], failed: int = 0) -> Po
         airborne_s.append(t_s - flown["lift_off_s"])
         first_s = SETTLED_S + flown["lift_off_s"]
         # the last shots of a flight still wait for the smoother when it ends
-        last_s = min(flown["touch_down_s"], flown["until_s"] - _UNANSWERED_S)
+        last_s = min(flown["touch_down_s"], flown["until_s"] - UNANSWERED_S)
         expected += max(round((last_s - first_s) / flown["shot_s"]), 0)
     return Pooled(
         row,

@@ -39,13 +39,15 @@ class FirstMoments:
         Where they are, constants that the motion of further modes teaches begin anew each second: a load that moves
         inside the epoch passes for that motion.
         """
-        self._sums = math.exp(-passed_s / _REMEMBERED_S) * self._sums + _sums(kalman, count)
-        before, self.left_out = self.left_out, self.left_out or _contradict(self._sums)
         self._taught_s += passed_s
+        begins = not self.left_out
+        if begins:  # else there are none to look at
+            self._sums = math.exp(-passed_s / _REMEMBERED_S) * self._sums + _sums(kalman, count)
+            self.left_out = begins = _contradict(self._sums)
         if self.left_out and self._taught_s > _TEACHES_NOTHING_S:
             kalman.reset_bias_parameters(_by_further_modes(kalman.layout.bias_parameters))
             self._taught_s = 0.0
-        return self.left_out and not before
+        return begins
 
     def contradict_trial(self, tried: SeparatedBiasFilter, segments: Iterable[Epochs], step_s: float) -> bool:
         """Whether they contradict the model on which new parameters are tried; then they are left out, there too."""
@@ -63,9 +65,8 @@ class FirstMoments:
 
 def _by_further_modes(names: Sequence[str]) -> list[str]:
     """Bias parameters that only the motion of modes beyond the first of each family teaches."""
-    first_slopes = ("slope.symmetric", "slope.antisymmetric")
-    slopes = [name for name in names if name.startswith("slope.") and name not in first_slopes]
-    return [*slopes, *(name for name in names if name == "further_shortening")]
+    first = {"slope.symmetric", "slope.antisymmetric"}
+    return [name for name in names if name.startswith(("slope.", "further_shortening")) and name not in first]
 
 
 def _contradict(sums: Floats) -> bool:
