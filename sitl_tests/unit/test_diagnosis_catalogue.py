@@ -58,7 +58,7 @@ def test_the_whole_catalogue_of_the_plan_is_there() -> None:
 
 
 def test_a_slipping_spring_loses_what_its_loop_encloses(model: WingModel) -> None:
-    """Amplitude A beyond the yield y: the Jenkins loop encloses 4 k y (A - y) per cycle."""
+    """Amplitude A beyond all yields y: each spring's loop encloses 4 k y (A - y) per cycle (Jenkins)."""
     amplitude, reach, slip_ratio = 0.006, 0.002, 0.1
     omega = 2 * np.pi * 2.0
     q, qdot = amplitude * np.sin(omega * T_S), amplitude * omega * np.cos(omega * T_S)
@@ -67,7 +67,28 @@ def test_a_slipping_spring_loses_what_its_loop_encloses(model: WingModel) -> Non
     steady = slice(500, 7500)  # fourteen whole cycles
     lost = -np.mean(force[0, steady] * qdot[steady]) / 2.0
     stiffness = model.structure.stiffness_radps2[0, 0]
-    assert lost == pytest.approx(4 * slip_ratio * stiffness * reach * (amplitude - reach), rel=1e-3)
+    yields = reach * np.array([0.2, 0.6, 1.0, 1.4, 1.8])
+    assert lost == pytest.approx(np.mean(4 * slip_ratio * stiffness * yields * (amplitude - yields)), rel=1e-3)
+
+
+def test_slipping_springs_give_way_one_by_one(model: WingModel) -> None:
+    """Pushed from rest: between the first yield and the second one spring of five holds still, beyond the last all."""
+    w = np.linspace(0.0, 0.006, 601)
+    force = made("hysteresis", share=0.1, yield_m=0.003).force(moving(model, w, 0 * w))
+    assert force is not None
+    slope = np.diff(force[0]) / np.diff(w) / (0.1 * model.structure.stiffness_radps2[0, 0])
+    assert slope[::120] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8], abs=1e-9)
+    assert slope[-1] == pytest.approx(1.0)
+
+
+def test_a_further_mode_is_one_where_its_band_is_clear_of_those_that_are_there(model: WingModel) -> None:
+    for place in (place for place, slot in enumerate(model.structure.slots) if slot % 2 == 0):
+        own_hz = float(model.omega_radps[place]) / (2 * np.pi)
+        half_widths_hz = float(model.structure.damping_radps[place, place]) / (4 * np.pi) + 0.01 * own_hz
+        for apart, distinct in ((0.0, False), (0.9, False), (-0.9, False), (1.1, True), (-1.1, True)):
+            frequency_hz = own_hz + apart * half_widths_hz
+            mode = made("second-mode", participation=0.01, frequency_hz=frequency_hz, damping=0.01)
+            assert mode.is_distinct(model.structure) is distinct
 
 
 def test_a_slipping_spring_remembers_in_the_simulator(model: WingModel) -> None:

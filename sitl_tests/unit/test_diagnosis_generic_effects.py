@@ -253,6 +253,7 @@ def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_belie
     model = flown(**{"exposure-jitter": 9e6})
     scores = lack_of_fit_tests([model], fit([model], ()))
     assert scores["range residual growing with its rate"] > 5.0
+    assert scores["range residual growing with rates of both cameras"] > 5.0
     assert abs(scores["range residual growing with time"]) < 5.0
 
 
@@ -312,7 +313,7 @@ def test_a_slip_is_not_said_beside_a_spring_that_is_softer_throughout() -> None:
 def test_a_slip_is_not_said_of_a_spring_that_is_softer_throughout() -> None:
     without = diagnose([flown(**{"frequency-shift": -0.09})], [catalogue()["hysteresis"]], 1)
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED
-    assert "force with deflection " in without.reason
+    assert "force" in without.reason
 
 
 def test_laws_along_with_deflection_and_speed_scale_stiffness_and_damping() -> None:

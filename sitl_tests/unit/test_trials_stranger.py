@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 
 from tools.trial_generators import STRANGER
 from tools.trial_plan import strangers_acceptance
-from tools.trial_truths.stranger import beam
+from tools.trial_truths.stranger import beam, cases
 from tools.trial_truths.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
-from tools.trial_truths.stranger.flight import STEP_HZ, _gust, drawn, fly
+from tools.trial_truths.stranger.flight import STEP_HZ, Motion, _gust, drawn, fly
 from tools.trial_truths.stranger.sensors import _tip
 from tools.trial_truths.stranger.steps import propagated
 
@@ -98,3 +101,17 @@ def test_the_plan_has_every_name_with_and_without_it_and_what_no_catalogue_has()
 def test_what_is_hidden_is_as_strong_as_asked(name: str) -> None:
     label = hide([name], (8.0, 8.0), np.random.default_rng(4))
     assert label.strength(name, 20.0) == pytest.approx(8.0, rel=1e-6)
+
+
+def test_a_wing_that_breaks_is_flown_again_in_another_gust(monkeypatch: pytest.MonkeyPatch) -> None:
+    label, flown = hide([], (8.0, 8.0), np.random.default_rng(4)), []
+
+    def breaking(*plan: Any) -> Motion:
+        motion = fly(*plan)
+        flown.append(motion.up_mps2[0, 100])
+        return motion if len(flown) == 3 else dataclasses.replace(motion, up_mps2=np.full_like(motion.up_mps2, np.nan))
+
+    monkeypatch.setattr(cases, "fly", breaking)
+    (tables,) = fly_all([label], [20.0], 3, 4.0)
+    assert np.all(np.isfinite(tables.force_z_mps2))
+    assert len(set(flown)) == 3

@@ -44,6 +44,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import fit
 from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.forward_selection import UNPREJUDICED
 from companion.diagnosis.selection.recordings import Cause
 from companion.evaluation.extended_airframe import extended
 from companion.evaluation.flight_models import models_of
@@ -154,7 +155,7 @@ def _written(airframe: Airframe, model: FlightModel, diagnosis: FlightDiagnosis)
 
 def _with_hidden_effect(models: Sequence[FlightModel], diagnosis: FlightDiagnosis, name: str) -> FlightDiagnosis:
     """The diagnosis of one who knows which effect was hidden: fitted to the same minute from its true values on."""
-    true_term = EffectTerm(catalogue()[name].from_values(EFFECTS[name]))
+    true_term = EffectTerm(catalogue()[name].from_values(EFFECTS[name]), wider=UNPREJUDICED)
     fitted = fit(models, (true_term,), diagnosis.null.values)
     (term,), (block,) = fitted.terms, fitted.blocks
     cause = Cause(term, (), math.inf, -math.inf, math.inf, tuple(fitted.values[list(block)].tolist()))

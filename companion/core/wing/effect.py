@@ -209,6 +209,11 @@ class Effect:
         """Reshape the linear model."""
         return structure
 
+    def is_distinct(self, structure: Structure) -> bool:
+        """Whether it is another thing than what a wing of this structure has already."""
+        del structure
+        return True
+
     def force(self, motion: ModalMotion) -> Floats | None:
         """Modal acceleration to add, (n,) in m/s^2, or None for none."""
         del motion

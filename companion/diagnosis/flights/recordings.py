@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
+from companion.core.wing.model import WingModel
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.sample_defects import worst_defects
 from companion.diagnosis.flights.adequacy import LIMIT, check
@@ -26,12 +27,13 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, FlightState, expect, fit, log_count
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.diagnosis import diagnose as diagnose_recordings
-from companion.diagnosis.selection.forward_selection import UNPHYSICAL
+from companion.diagnosis.selection.forward_selection import UNPHYSICAL, UNPREJUDICED
 from companion.diagnosis.selection.recordings import Cause, Prediction, Progress, Recordings, SelectionPath
 from companion.diagnosis.selection.score_tests import Candidate, Screening
 
 _QUIET_DB = 3.0  # least range of a fitted spectrum over its minimum, below which the wing hardly moves (choice)
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # chosen: prior sigmas: a strength begins large, then small where large is far off
+_STRAINED = 3.0  # prior sigmas from which on an effect may be of another size than expected (choice)
 _STRONG = 2.0  # prior sigmas of the strength of an effect that is begun at every place (choice)
 # scoring steps: of a refit, of one that goes on, of a fit, of a fold (choice)
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3
@@ -97,9 +99,18 @@ class Flights(Recordings[EffectTerm, FlightState]):
             # the model that it extends is a case of it: nuisances that stood for the effect are still on their way back
             reached = fit(self._models, reached.terms, reached, _QUICK)
         if type(offered.term.effect).multimodal and reached.log_evidence > fitted.log_evidence:
-            other = self._on_other_hill(fitted, reached)
-            reached = max(reached, other or reached, key=lambda entry: entry.log_evidence)
-        return offered, reached
+            elsewhere = (self._begun(fitted, [term]) for term in _strong_at_each_place(reached.terms[-1]))
+            reached = max([reached, *filter(None, elsewhere)], key=lambda entry: entry.log_evidence)
+        return offered, self._unstrained(fitted, reached)
+
+    def _unstrained(self, fitted: FlightFit, reached: FlightFit) -> FlightFit:
+        """The last effect under a wide prior, where it lies far out in its own and the wide one has more evidence."""
+        block = list(reached.blocks[-1])
+        beyond = np.abs(reached.values[block] - reached.centres[block]) / reached.sigmas[block]
+        if np.max(beyond) < _STRAINED:
+            return reached
+        wide = self._begun(fitted, [dataclasses.replace(reached.terms[-1], wider=UNPREJUDICED)])
+        return wide if wide is not None and wide.log_evidence > reached.log_evidence else reached
 
     def _begun(
         self, fitted: FlightFit, starts: Iterable[EffectTerm], rounds: int = _AT_FIRST, values_alone: bool = False
@@ -112,20 +123,14 @@ class Flights(Recordings[EffectTerm, FlightState]):
                 continue
         return None
 
-    def _on_other_hill(self, fitted: FlightFit, reached: FlightFit) -> FlightFit | None:
-        """Fit from the best place of the last effect's scan, if its first step comes near to what was reached.
-
-        After one step the maxima lie tens of nats apart, at a fourth of the cost of climbing all.
-        """
-        tried = (self._begun(fitted, [term], 1, True) for term in _strong_at_each_place(reached.terms[-1]))
-        best = max((entry for entry in tried if entry), key=lambda entry: entry.log_evidence, default=None)
-        if best is None or best.log_evidence < reached.log_evidence - _NEAR:
-            return None
-        return self._begun(fitted, [best.terms[-1]])
-
     def plausible(self, fitted: FlightFit) -> bool:
-        """Whether what nature has one way only came out that way."""
-        return not fitted.terms[-1].effect.one_way or fitted.values[fitted.blocks[-1][0]] > 0.0
+        """Whether what nature has one way only came out that way, and a further mode away from those that are there."""
+        belief, model = self._models[0].belief, self._models[0]
+        *others, effect = (term.effect for term in (*belief.terms, *fitted.terms))
+        if effect.one_way and fitted.values[fitted.blocks[-1][0]] <= 0.0:
+            return False
+        deviation = belief.named(fitted.values[: len(belief.nuisances)], model.recording)
+        return effect.is_distinct(WingModel(belief.wing(deviation), tuple(others)).structure)
 
     def checks(self, fitted: FlightFit) -> list[Check]:
         """Defects of the samples that have no name among the offered, and all tests of a fitted model."""

@@ -14,11 +14,13 @@ class EffectTerm:
     """One named effect in a model, with the recorded channel that it follows, if any.
 
     ``log_trials`` is the logarithm of how many places were tried before it was begun where it was (look-elsewhere).
+    Prior sigmas of its strengths are ``wider`` times the declared ones.
     """
 
     effect: Effect
     channel: str = ""
     log_trials: float = 0.0
+    wider: float = 1.0
 
     @property
     def name(self) -> str:

@@ -42,7 +42,8 @@ class FlightsLikelihood:
         self._models, self._terms = models, tuple(terms)
         self.parameters = _anywhere(models, terms, priors(models[0].belief, terms, wider))
         # a difference is no better for a wider prior
-        self._sigmas: Floats = np.array([entry.sigma for entry in priors(models[0].belief, terms)])
+        declared = [dataclasses.replace(term, wider=1.0) for term in terms]
+        self._sigmas: Floats = np.array([entry.sigma for entry in priors(models[0].belief, declared)])
         self._reached: list[tuple[Floats, FlightState, tuple[Expectation, ...]]] = []
 
     def start(self, nuisances: Floats | None = None) -> Floats:
@@ -127,7 +128,9 @@ def fit(
     fitted = climb(likelihood, terms, blocks, begun_at, rounds, likelihood.neighbour_scores, values_alone, begun)
     # half a normal prior (an effect of one sign) is twice as dense there
     halves = sum(term.effect.one_way for term in terms)
-    evidence = fitted.log_evidence + halves * math.log(2.0)
+    # a wide prior is one of two that a strength may have
+    widened = sum(term.wider > 1.0 for term in terms)
+    evidence = fitted.log_evidence + (halves - widened) * math.log(2.0)
     return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms), log_evidence=evidence)
 
 
@@ -178,14 +181,16 @@ def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple
 def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> tuple[Parameter, ...]:
     """Entries of the whole parameter vector: nuisances, then the parameters of each term.
 
-    Prior sigmas of strengths are multiplied by ``wider``, those of parameters in ``scan`` (a yield, a frequency) not.
+    Prior sigmas of strengths are at least ``wider`` times the declared ones, those of parameters in ``scan`` (a yield,
+    a frequency) as declared.
     """
     nuisances = [Parameter(entry.key, 0.0, entry.sigma) for entry in belief.nuisances]
-    declared = [(entry, entry.name in type(term.effect).scan) for term in terms for entry in term.effect.parameters()]
-    return (
-        *nuisances,
-        *(Parameter(entry.name, entry.default, entry.sigma * (1.0 if place else wider)) for entry, place in declared),
-    )
+    declared = [
+        (entry, 1.0 if entry.name in type(term.effect).scan else max(wider, term.wider))
+        for term in terms
+        for entry in term.effect.parameters()
+    ]
+    return (*nuisances, *(Parameter(entry.name, entry.default, factor * entry.sigma) for entry, factor in declared))
 
 
 def _anywhere(

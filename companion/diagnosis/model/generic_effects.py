@@ -308,7 +308,7 @@ TOE = (
 PLAY = {"little play of the mounts": 0.15, "play of the mounts": 0.3, "much play of the mounts": 0.6}
 """Half-width of a mount's play, in units of the deflection's rms."""
 BOTH_LATE = "both sides late"
-SPREAD = ("deflection", "its rate", "inverse distance", "time")
+SPREAD = ("deflection", "its rate", "rates of both cameras", "inverse distance", "time")
 
 
 def generic_effects() -> list[type[Effect]]:

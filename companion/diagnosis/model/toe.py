@@ -64,10 +64,12 @@ class ToeModel:
             residual = residual - residual.mean()
         variance = np.full(len(residual), (self._belief.match_sigma_rad() * np.exp(deviation.get("match", 0.0))) ** 2)
         if views[0].jitter_s:
-            variance += views[0].jitter_s ** 2 * self._wandering(motion, self._scattered(wing, views), late_s, views[0])
+            scattered = self._scattered(wing, views)
+            variance += views[0].jitter_s ** 2 * self._squared_rates(motion, scattered, late_s, views[0].jitter_shared)
         spread = [effect for effect in effects if isinstance(effect, GenericToeVariance)]
         if spread:
-            offered = toe_variance_regressors(toe, *self._modes(motion))
+            turning = self._squared_rates(motion, rows, late_s, 0.0)
+            offered = toe_variance_regressors(toe, *self._modes(motion), turning)
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
 
@@ -80,9 +82,11 @@ class ToeModel:
         still = [dataclasses.replace(view, jitter_s=0.0) for view in views]
         return np.asarray(self._slope(wing, still) * np.exp(-0.25 * (self._omega * views[0].jitter_s) ** 2))
 
-    def _wandering(self, motion: Motion, rows: Complexes, late_s: float, view: CameraView) -> Floats:
-        """Square of the toe's rate for exposures that wander together, and of either camera's for the rest, (k,)."""
-        shared = view.jitter_shared
+    def _squared_rates(self, motion: Motion, rows: Complexes, late_s: float, shared: float) -> Floats:
+        """Square of the toe's rate by its share, and of either camera's by the rest, (k,).
+
+        Exposures that wander together scatter the toe as its own rate has it, others as the rate of either camera.
+        """
         left, right = (self._bending(motion, row * (1j * self._omega), late_s) for row in rows)
         return shared * (left + right) ** 2 + (1.0 - shared) * (left**2 + right**2)
 

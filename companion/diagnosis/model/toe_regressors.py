@@ -43,9 +43,9 @@ def of_unit_rms(values: Floats) -> Floats | None:
     return values / size if size > 1e-12 else None
 
 
-def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
-    """Regressors of the toe's variance, of mean 1, (k,)."""
-    values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + across(toe.t_s)))
+def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats, turning: Floats) -> dict[str, Floats]:
+    """Regressors of the toe's variance, of mean 1, (k,); ``turning`` (k,) is the sum of both cameras' squared rates."""
+    values = (modal[0] ** 2, rates[0] ** 2, turning, toe.inverse_m**2, 0.5 * (1.0 + across(toe.t_s)))
     return {
         name: regressor / np.mean(regressor)
         for name, regressor in zip(SPREAD, values, strict=True)

@@ -1,4 +1,4 @@
-"""A spring that slips: part of the stiffness holds up to a yield deflection and then follows at constant force."""
+"""Springs that slip: part of the stiffness holds up to a yield deflection and then follows at constant force."""
 
 from __future__ import annotations
 
@@ -15,43 +15,48 @@ from companion.records import Floats
 _slip = kernel("slipping_spring", ARRAY, REAL, ARRAY)
 
 
+_YIELDS = np.array([0.2, 0.6, 1.0, 1.4, 1.8])
+"""Of ``yield_m``: springs of equal stiffness whose yields are spread evenly from 0 to twice the mean (Iwan 1966)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Hysteresis(Effect):
-    """Each half's spring is omega^2 (w - share (w - z)): z follows w, but never beyond +-yield (Jenkins element).
+    """Each half's spring is omega^2 (w - share (w - z)), and z the mean stretch of springs that slip one by one.
 
-    Below the yield nothing slips; above, the wing is softer, and a loop damps it the more the further it swings.
+    Each stretch follows w, but never beyond its yield either way (Jenkins elements in parallel: Iwan's model). With
+    amplitude the wing becomes softer, and a loop damps it the more the further it swings.
     """
 
     name: ClassVar[str] = "hysteresis"
     group: ClassVar[Group] = Group.STRUCTURE
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "load and unload the tip slowly by hand: force against deflection makes a loop"
-    scan: ClassVar = MappingProxyType({"yield_m": (0.001, 0.0025, 0.006)})
+    scan: ClassVar = MappingProxyType({"yield_m": (0.001, 0.003, 0.006)})
     multimodal: ClassVar[bool] = True
     own_law: ClassVar[str] = "springs that slip"
 
     share: float = parameter("", 0.1, "share of the stiffness that slips")
-    yield_m: float = parameter("m", 0.003, "deflection at which it slips", default=0.0025)
+    yield_m: float = parameter("m", 0.003, "mean deflection at which it slips", default=0.0025)
 
     def force(self, motion: ModalMotion) -> Floats:
         """Spring force that slipping takes away, half by half."""
-        return from_halves(
-            motion, self.share * motion.half_stiffness_radps2 * (halves(motion.offset_m) - self._held(motion))
-        )
+        stretch_m = self._stretches(motion).mean(0)
+        return from_halves(motion, self.share * motion.half_stiffness_radps2 * (halves(motion.offset_m) - stretch_m))
 
     def remember(self, motion: ModalMotion) -> Floats:
-        """How far each half's spring is stretched, and where that half is, (4, ...) m."""
-        w = halves(motion.offset_m)
-        return np.concatenate([self._held(motion), w])
+        """How far each half's springs are stretched, and where that half is, (springs + 1, 2) m."""
+        return np.concatenate([self._stretches(motion), halves(motion.offset_m)[None]])
 
-    def _held(self, motion: ModalMotion) -> Floats:
-        w, reach = np.ascontiguousarray(halves(motion.offset_m)), abs(self.yield_m)
+    def _stretches(self, motion: ModalMotion) -> Floats:
+        """Stretch of each spring, (springs, 2, ...) m."""
+        w_m, reach_m = halves(motion.offset_m), np.abs(self.yield_m) * _YIELDS
         if motion.memory is not None:
-            held, before = np.split(motion.memory, 2)
-            return np.clip(held + w - before, -reach, reach)
-        if w.ndim == 1:
-            return np.clip(w, -reach, reach)
-        return stretch_along(w, reach)
+            *stretches_m, before_m = motion.memory
+            return np.asarray(np.clip(stretches_m + (w_m - before_m), -reach_m[:, None], reach_m[:, None]))
+        if w_m.ndim == 1:
+            return np.asarray(np.clip(w_m, -reach_m[:, None], reach_m[:, None]))
+        path_m = np.ascontiguousarray(w_m)
+        return np.array([stretch_along(path_m, float(reach)) for reach in reach_m])
 
 
 def stretch_along(deflection_m: Floats, reach_m: float) -> Floats:

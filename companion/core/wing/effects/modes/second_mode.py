@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
+import numpy as np
+
 from companion.core.wing.airframe_changes import scaled, with_wing
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.core.wing.structure import Structure, with_symmetric_mode
@@ -35,6 +37,14 @@ class SecondMode(Effect):
         """Append the mode."""
         slope_radpm = _SLOPE_RATIO * float(structure.slope_radpm[1, 0])
         return with_symmetric_mode(structure, self.frequency_hz, self.damping, self.participation, slope_radpm)
+
+    def is_distinct(self, structure: Structure) -> bool:
+        """Whether its half-power band is clear of those of the symmetric modes: two in one place are one mode."""
+        symmetric = [place for place, slot in enumerate(structure.slots) if slot % 2 == 0]
+        own_hz = np.sqrt(np.diag(structure.stiffness_radps2)[symmetric]) / (2.0 * np.pi)
+        half_width_hz = np.diag(structure.damping_radps)[symmetric] / (4.0 * np.pi)  # zeta f
+        apart_hz = np.abs(self.frequency_hz - own_hz)
+        return bool(np.all(apart_hz > half_width_hz + self.damping * self.frequency_hz))
 
     def apply_to_airframe(self, airframe: Airframe) -> Airframe | None:
         """Add it as the second symmetric mode, where there is none."""

@@ -21,6 +21,7 @@ class ExposureJitter(Effect):
     group: ClassVar[Group] = Group.CAMERA
     adds_toe_variance: ClassVar[bool] = True
     one_way: ClassVar[bool] = True
+    own_law: ClassVar[str] = "range residual growing with rates of both cameras"
     advice: ClassVar[str] = "stamp exposures in hardware (a strobe line)"
 
     jitter2_us2: float = parameter("us^2", 4e6, "square of the standard deviation of the exposure instant")
