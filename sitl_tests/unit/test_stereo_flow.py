@@ -436,6 +436,22 @@ def test_a_match_that_is_off_across_the_lines_is_left_out_of_the_flow() -> None:
     assert 130 <= update.flow <= 140
 
 
+def test_a_flow_of_which_every_feature_is_off_across_the_lines_tells_nothing() -> None:
+    """Dirt on a lens is tracked perfectly, and matches nothing: the pair counts as without flow."""
+    view, filtered = (
+        _view(noise_rad=_NOISE_RAD),
+        EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior()),
+    )
+    rays = dataclasses.replace(view.rays, right=view.rays.right.copy())
+    rays.right[::15, 0] += 50.0 * _NOISE_RAD
+    outlier = np.zeros(len(view.sigma_rad), dtype=np.bool_)
+    outlier[::15] = True
+    dirt = view.without(~outlier)
+    update = filtered.update(rays, view.sigma_rad, FastBelief(np.zeros((3, 3))), 1, flow=dirt)
+    assert isinstance(update, EpipolarUpdate)
+    assert update.flow == 0
+
+
 def test_a_turn_is_integrated_where_rates_are_there() -> None:
     """Coning rates of 200 samples a second give the rotation that small steps compose to; a gap gives none."""
     track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)

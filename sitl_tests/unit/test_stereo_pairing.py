@@ -68,6 +68,18 @@ def test_cameras_whose_clock_began_anew_are_paired_again() -> None:
     assert [drop.at_host_ns for _, dropped in made for drop in dropped] == [60_000_000_000]
 
 
+@pytest.mark.parametrize("leap_ns", [150_000_000, 1_900_000_000])
+def test_one_stamp_that_leaps_ahead_costs_two_pairs(leap_ns: int) -> None:
+    pairer, paired = FramePairer(), []
+    for shot in range(1, 31):
+        for side in Side:
+            leaps = side is Side.LEFT and shot == 5
+            made, _ = pairer.add(_frame(side, shot, leap_ns if leaps else 0))
+            paired += [(pair.left.sequence, pair.right.sequence) for pair in made]
+    assert all(first == second for first, second in paired)
+    assert {first for first, _ in paired} >= {shot for shot in range(1, 31) if shot not in (5, 6)}
+
+
 @st.composite
 def _streams(draw: st.DrawFn) -> tuple[list[tuple[int, Frame]], set[int]]:
     """Frames of two cameras as they arrive, and the shots of which both are there.

@@ -105,6 +105,17 @@ def test_a_plan_that_was_replaced_or_skipped_takes_no_pair() -> None:
     assert [k for k in range(1, 10) if choice.takes(_pair(k, 20 * MS * k))] == []
 
 
+def test_a_plan_that_is_put_off_again_and_again_takes_one_pair() -> None:
+    choice = FrameChoice()
+    for late_ms in (0, 5, 10, 15):
+        choice.plan(_plan(1, (100 + late_ms) * MS))
+    choice.takes(_pair(0, 0))
+    assert [k for k in range(1, 12) if choice.takes(_pair(k, 20 * MS * k))] == [6]
+    choice.plan(_plan(2, 300 * MS))
+    choice.plan(_plan(2, 304 * MS, Firing.SKIP))
+    assert [k for k in range(12, 20) if choice.takes(_pair(k, 20 * MS * k))] == []
+
+
 @pytest.mark.slow
 def test_triggered_cameras_are_matched_whatever_is_planned() -> None:
     state = VisionState.create(nadir(), Settings())

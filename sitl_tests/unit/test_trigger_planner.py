@@ -14,7 +14,7 @@ from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurModel, GroundMotion
 from companion.core.trigger.instants import deflection_peaks, still_instants
 from companion.core.trigger.latency import LatencyModel
-from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
+from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Aim, Planner
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -244,11 +244,55 @@ def test_the_timer_stands_in_only_where_the_image_is_sharp_enough(airframe: Airf
 
 
 def test_an_uncertain_peak_is_skipped_aloud(airframe: Airframe) -> None:
-    fired, plans = fly(planner_for(airframe), 3 * S, rate_sigma_radps=0.2)
+    fired, plans = fly(planner_for(airframe, trigger_aim=Aim.DEFLECTION), 3 * S, rate_sigma_radps=0.2)
     assert fired == []
     assert {plan.firing for plan in plans} == {Firing.SKIP}
     assert {plan.reject for plan in plans} == {Reject.PEAK_UNCERTAIN}
     assert 20 <= len({plan.plan_id for plan in plans}) <= 32
+
+
+def test_uncertain_peaks_put_a_shot_off_by_a_turn_and_no_longer(airframe: Airframe) -> None:
+    """Peaks 29 ms uncertain, and a blur of 0.3 px wherever one fires."""
+    fired, plans = fly(planner_for(airframe), 6 * S, rate_sigma_radps=0.2)
+    assert Reject.PEAK_UNCERTAIN in {plan.reject for plan in plans}
+    gaps_ns = np.diff([plan.exposure_host_ns for plan in fired])
+    assert np.all((gaps_ns > 90 * MS) & (gaps_ns < 320 * MS))
+
+
+def test_an_uncertain_peak_of_hardly_any_blur_is_fired_at(airframe: Airframe) -> None:
+    """A swing of 0.3 mm, hardly above what is unknown of it: the peak is 29 ms uncertain, the blur 0.02 px."""
+    fired, _ = fly(planner_for(airframe), 6 * S, amplitude_m=0.0003, rate_sigma_radps=0.012)
+    assert max(plan.sigma_ns for plan in fired) > 25 * MS
+    assert max(plan.blur_px for plan in fired) < 0.1
+    assert len(fired) >= 55
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 3.0, 10.0])
+def test_the_timer_stands_in_at_every_rate_where_nothing_comes_to_rest(airframe: Airframe, rate_hz: float) -> None:
+    """A rate of turn whose blur falls evenly within each forecast has no least: the timer takes every turn."""
+    planner, line = planner_for(airframe, trigger_rate_hz=rate_hz), Line()
+    for now in range(S, 13 * S, 10 * MS):
+        line.run(now)
+        forecast = wing(now - 50 * MS, amplitude_m=0.0)
+        falling = np.linspace(0.3, 0.2, len(forecast.t_host_ns))
+        forecast = dataclasses.replace(forecast, slope_rate_radps=np.stack([falling, falling], 1))
+        line.take(planner.plan(forecast, Validity.TRACKING, now))
+    assert {plan.firing for plan in line.fired} == {Firing.TIMER}
+    assert len(line.fired) >= 12 * rate_hz / 1.7 - 2
+
+
+def test_pixels_that_are_taller_than_wide_move_further_down_the_image(airframe: Airframe) -> None:
+    """A body turn about y moves a nadir image along its rows or columns: the columns by the ratio more."""
+
+    def blur_px(focal_ratio: float, rate_radps: tuple[float, float, float]) -> float:
+        tall = airframe.with_cameras(lambda _side, camera: dataclasses.replace(camera, focal_ratio=focal_ratio))
+        still = dataclasses.replace(
+            wing(S, amplitude_m=0.0, rate_sigma_radps=0.0), body_rate_radps=np.array(rate_radps)
+        )
+        return float(BlurModel(tall).predict(still, LatencyModel(tall), GroundMotion()).rms_px[0, 0])
+
+    ratios = sorted(blur_px(1.1, rate) / blur_px(1.0, rate) for rate in ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0)))
+    assert ratios == pytest.approx([1.0, 1.1], rel=0.01)
 
 
 def test_a_blurred_peak_is_skipped_aloud(airframe: Airframe) -> None:

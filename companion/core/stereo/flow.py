@@ -306,8 +306,8 @@ class FlowView:
         """
         stacked = Rays.stacked([self._turned(rays, *state) for state in states])
         look = self.later_pose.camera_from_body[2] @ self._half_turn(states[0][0])
-        # tangents across the axis are not needed
-        sight = RangeAxis(rays.left_m[0], look, np.zeros((2, 3)))
+        # tangents across the axis are not needed; one camera sees all features
+        sight = RangeAxis(self.later_pose.position_body_m, look, np.zeros((2, 3)))
         depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(states)))
         return depths.inverse_pm, depths.sigma_pm
 
@@ -331,7 +331,7 @@ def _along_and_across(path: Floats, residual: Floats, variance: Floats, columns:
     """
     along = path / np.linalg.norm(path, axis=1)[:, np.newaxis]
     axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
-    rows = (axes @ columns).reshape(2 * len(residual), -1)
+    rows = (axes @ columns).reshape(2 * len(residual), columns.shape[2])
     in_axes, sigma = (axes @ residual[..., np.newaxis]).ravel(), np.sqrt(variance).ravel()
     return FlowInnovation(in_axes, sigma, *np.split(rows, np.cumsum([3, PAIR_TERMS, 2, 3, 3]), axis=1))
 

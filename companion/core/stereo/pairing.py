@@ -17,7 +17,8 @@ class FramePairer:
     Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
     time between shots), no other waiting frame is nearer, and they do not name different plans. Frames of one side
     must come in order of exposure. One that comes again is refused, so that no pair is made twice. One that is more
-    than two seconds older belongs to a camera whose clock restarted. Pairs are numbered from ``next_id``.
+    than two seconds older belongs to a camera whose clock restarted. Where two frames in order, of later numbers than
+    the newest, are older than it, its stamp was wrong. Pairs are numbered from ``next_id``.
     """
 
     tolerance_ns: int = 8_000_000
@@ -25,17 +26,32 @@ class FramePairer:
     next_id: int = 0
     _waiting: tuple[deque[Frame], deque[Frame]] = field(default_factory=lambda: (deque(), deque()))
     _newest_ns: list[int] = field(default_factory=lambda: [-(2**62), -(2**62)])
+    _newest_number: list[int] = field(default_factory=lambda: [0, 0])
+    _behind: list[Frame | None] = field(default_factory=lambda: [None, None])
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
         """Take one frame. Give the pairs that it completes and the frames that remain without a partner."""
         queue, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
-        if 0 <= behind_ns <= _FORGET_NS:
+        if 0 <= behind_ns <= _FORGET_NS and not self._newest_was_wrong(frame):
             return [], [self._lonely(frame)]
         unpaired = [self._lonely(queue.popleft()) for _ in range(len(queue))] if behind_ns > 0 else []
-        self._newest_ns[frame.side] = frame.mid_exposure_ns
+        self._newest_ns[frame.side], self._newest_number[frame.side] = frame.mid_exposure_ns, frame.sequence
+        self._behind[frame.side] = None
         queue.append(frame)
         pairs = self._match()
         return pairs, unpaired + self._expire(frame.mid_exposure_ns)
+
+    def _newest_was_wrong(self, frame: Frame) -> bool:
+        """Whether a frame that is older than the newest, and the one before it, were exposed after that all the same.
+
+        One of them alone may itself have the wrong stamp.
+        """
+        if frame.sequence <= self._newest_number[frame.side]:
+            return False
+        before, self._behind[frame.side] = self._behind[frame.side], frame
+        if before is None or before.sequence >= frame.sequence:
+            return False
+        return before.mid_exposure_ns < frame.mid_exposure_ns
 
     def _match(self) -> list[FramePair]:
         left, right = self._waiting

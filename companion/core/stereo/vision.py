@@ -31,7 +31,10 @@ class FrameChoice:
     last_ns: int | None = None
 
     def plan(self, plan: TriggerPlan) -> None:
-        """Add a planned instant. It replaces earlier plans of the same or a later instant."""
+        """Add a planned instant. It replaces earlier plans of its number, and of the same or a later instant."""
+        replaced = [earlier for earlier in self.plans if earlier.plan_id == plan.plan_id]
+        for earlier in replaced:
+            self.plans.remove(earlier)
         while self.plans and self.plans[-1].exposure_host_ns >= plan.exposure_host_ns:
             self.plans.pop()
         if plan.firing is not Firing.SKIP:

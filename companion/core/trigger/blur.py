@@ -140,9 +140,10 @@ def _image_motion_maps(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _I
     turns, shifts, levers, slopes, lifts = [], [], [], [], []
     for side, camera in zip(Side, cameras, strict=True):
         mounted, focal = rig.camera(side), camera.focal_px.value
+        down = focal * camera.focal_ratio
         radius = np.hypot(camera.width_px, camera.height_px) / np.sqrt(12)
-        turn = np.array([[0.0, -focal, 0.0], [focal, 0.0, 0.0], [0.0, 0.0, radius]]) @ mounted.rest.camera_from_body
-        shift = np.diag([-focal, -focal, 0.0]) @ mounted.rest.camera_from_body
+        turn = np.array([[0.0, -focal, 0.0], [down, 0.0, 0.0], [0.0, 0.0, radius]]) @ mounted.rest.camera_from_body
+        shift = np.diag([-focal, -down, 0.0]) @ mounted.rest.camera_from_body
         turns.append(turn * camera.exposure_s)
         shifts.append(shift * camera.exposure_s)
         levers.append(-shifts[-1] @ skew(mounted.rest.position_body_m))

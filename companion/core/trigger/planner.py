@@ -80,6 +80,7 @@ class Planner:
         self._open: TriggerPlan | None = None
         self._draft: _Draft | None = None
         self._due_ns = _NOT_YET
+        self._waits_ns = _NOT_YET  # since when the turn waits: skipped peaks put it off no further
         self._last: _Draft | None = None
         self._fired_id = 0
         self._overtaken = False
@@ -107,7 +108,7 @@ class Planner:
             stays (triggering is off, it is being fired, or the forecast does not reach far enough).
         """
         if self._due_ns == _NOT_YET:
-            self._due_ns = now_host_ns + self._interval_ns
+            self._due_ns = self._waits_ns = now_host_ns + self._interval_ns
             self._next_id = now_host_ns // _MS_NS
         if self._overtaken:
             self._overtaken = False
@@ -130,6 +131,7 @@ class Planner:
             return  # its turn is taken, or will be when it is closed
         self._fired_id = shot.plan_id
         self._due_ns = max(self._due_ns, shot.fired_host_ns + self._latency.lead_ns + self._interval_ns)
+        self._waits_ns = self._due_ns
         if self._draft is not None:
             self._overtaken = self._due_ns - self._draft.exposure_ns > self._early_ns
 
@@ -149,6 +151,7 @@ class Planner:
             self._fired_id = max(self._fired_id, self._open.plan_id)
         if fires or not self._draft.at_peak:
             self._due_ns = max(self._due_ns, self._draft.exposure_ns) + self._interval_ns
+            self._waits_ns = self._due_ns
         else:  # a skipped peak costs no turn, but the next peak has its chance before the timer stands in
             self._due_ns = max(self._due_ns, self._draft.exposure_ns + min(self._interval_ns, self._draft.spacing_ns))
         self._last, self._open, self._draft = self._draft, None, None
@@ -228,12 +231,12 @@ class Planner:
         give_up_ns = due_ns + self._interval_ns - self._early_ns
         spacing_ns = _spacing(instants)
         turn_ns = max(self._earliest(now_ns), self._due_ns - self._early_ns, self._after_last(spacing_ns))
+        end_ns = self._due_ns + self._interval_ns - self._early_ns  # unlike the other, it stands still
         coming = [instant for instant in instants if turn_ns <= instant.t_host_ns <= give_up_ns]
         if coming:
-            end_ns = self._due_ns + self._interval_ns - self._early_ns  # unlike the other, it stands still
             in_turn = [instant for instant in coming if instant.t_host_ns <= end_ns]
             return self._judge(self._best(in_turn or coming[:1], now_ns), spacing_ns)
-        if int(blur.t_host_ns[-1]) < give_up_ns:
+        if int(blur.t_host_ns[-1]) < end_ns:
             return None
         return self._stand_in(blur, due_ns)
 
@@ -271,7 +274,11 @@ class Planner:
     def _refusal(self, instant: PlannedInstant) -> Reject | None:
         if instant.blur_px > self.settings.trigger_blur_px:
             return Reject.BLUR_TOO_LARGE
-        return Reject.PEAK_UNCERTAIN if instant.sigma_ns > self.settings.trigger_sigma_s * 1e9 else None
+        is_uncertain = instant.sigma_ns > self.settings.trigger_sigma_s * 1e9
+        if self.settings.trigger_aim == Aim.BLUR and is_uncertain:
+            # the blur holds it already: it matters where it shows, and as long as a better instant may come
+            is_uncertain = instant.blur_px > _STILL_PX and instant.t_host_ns < self._waits_ns + self._interval_ns
+        return Reject.PEAK_UNCERTAIN if is_uncertain else None
 
     def _judge(self, instant: PlannedInstant, spacing_ns: int) -> _Draft:
         reject = self._refusal(instant)
