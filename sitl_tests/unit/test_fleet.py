@@ -25,7 +25,7 @@ from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
 from companion.evaluation.fleet.runner import run
-from companion.evaluation.fleet.trends import findings, unremarkable
+from companion.evaluation.fleet.trends import findings, sentences, unremarkable
 from companion.evaluation.flight_log import gather
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -228,13 +228,48 @@ def test_a_mode_that_falls_and_a_sensor_whose_noise_grows_are_named_once_each_wi
     # thirds of a line that falls by 6 % are 4 % apart, two thirds of all
     aged = [row | {"airframe": "old", "symmetric_hz": row["symmetric_hz"] * (1.0 - 0.06 * k / 29),
                    "left_noise": 0.02 * (1.0 + k / 29)} for k, row in enumerate(steady)]  # fmt: skip
-    sentences = findings([*steady, *aged])
-    assert len(sentences) == 2
-    (softer,) = [text for text in sentences if "symmetric mode" in text]
+    named = findings([*steady, *aged])
+    assert len(named) == 2
+    (softer,) = [text for text in named if "symmetric mode" in text]
     percent = float(softer.partition("(")[2].partition(" %")[0])
     assert percent == pytest.approx(-4.0, abs=1.2), "three sigma of two medians of ten flights"
     assert softer.startswith("old: symmetric mode went from ")
-    assert any(text.startswith("old: left sensor's noise went from") for text in sentences)
+    assert any(text.startswith("old: left sensor's noise went from") for text in named)
+
+
+def test_a_sensor_without_noise_is_stuck_and_spoils_no_median() -> None:
+    noises = [0.0, 1e-17, 0.0, *(0.02 + 1e-4 * (k % 2) for k in range(9))]
+    rows = [flight(k, left_noise=noise) for k, noise in enumerate(noises)]
+    expected = "nadir-2m: left sensor is stuck: it has no noise at all in 3 of 12 flights, first in 0.mcap"
+    assert findings(rows) == [expected]
+    assert unremarkable(rows) == []
+
+
+def test_a_drift_from_nothing_has_no_percentage() -> None:
+    rows = [flight(k, symmetric_damping=0.0 if k < 4 else 0.02, symmetric_damping_sigma=1.0) for k in range(9)]
+    assert findings(rows) == [
+        "nadir-2m: symmetric mode's damping went from 0 to 0.02 of critical between the first and the last third of "
+        "9 flights"
+    ]
+
+
+def test_what_is_not_shown_of_many_findings_is_no_aircraft_without_any() -> None:
+    rows = [
+        flight(k, airframe=f"a{aircraft}", symmetric_hz=5.5 if k == 5 else 5.0)
+        for aircraft in range(25)
+        for k in range(6)
+    ]
+    said = sentences(rows)
+    assert len(said) == 21, "twenty of them"
+    assert said[-1] == "and 5 more"
+
+
+def test_a_flight_is_held_against_a_median_that_has_a_sigma_of_its_own() -> None:
+    """One long flight among short ones: the median is known to 0.03 Hz, whatever the long one's sigma is."""
+    short = [flight(k, symmetric_hz=5.0 + 0.05 * (k - 2), symmetric_sigma_hz=0.05) for k in range(5)]
+    assert findings([*short, flight(9, symmetric_hz=5.06, symmetric_sigma_hz=0.005)]) == []
+    assert len(findings([*short, flight(9, symmetric_hz=5.2, symmetric_sigma_hz=0.005)])) == 1
+    assert findings([*short, flight(9, symmetric_hz=5.2, symmetric_sigma_hz=None)]) == [], "nothing judges it"
 
 
 @pytest.mark.parametrize("count", [9, 12, 30])
