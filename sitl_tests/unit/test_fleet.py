@@ -24,7 +24,7 @@ from companion.evaluation.fleet.file_task import FileTask, tasks_of
 from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
-from companion.evaluation.fleet.runner import run
+from companion.evaluation.fleet.runner import attempt, run
 from companion.evaluation.fleet.trends import findings, sentences, unremarkable
 from companion.evaluation.flight_log import gather
 from companion.params.files import load_airframe
@@ -102,6 +102,31 @@ def test_an_airframe_s_text_a_folder_s_files_and_the_version_name_another_part(
     keys.append(task.key)
     assert keys[0] == keys[1]
     assert len(set(keys)) == 5
+
+
+@pytest.mark.slow
+def test_a_file_of_an_odd_name_costs_no_other_its_row(tmp_path: Path) -> None:
+    names = ["a", "f" * 240, "ü" * 120, os.fsdecode(b"f\xff"), os.fsdecode(b"bad\xff")]
+    tasks = tasks_of(files(tmp_path, *names), ("measure",), tmp_path / "out")
+    rows = work_off(tasks, measure, 1)
+    assert [row["letters"] for row in rows if "letters" in row] == [1, 2, 4, 3]
+    table, page = as_csv(rows).encode(), render("report", rows).encode()
+    assert b"f\\udcff.txt" in table
+    assert b"f\\udcff.txt" in page
+    (failed,) = (row for row in rows if "failed" in row)
+    assert failed["failed"] == "bad\\udcff.txt: cannot be read"
+
+
+def test_a_part_that_cannot_be_written_is_the_failure_of_its_task_alone(tmp_path: Path) -> None:
+    (path,) = files(tmp_path, "one")
+    (tmp_path / "out").write_text("a file where the folder should be")
+    (task,) = tasks_of([path], ("measure",), tmp_path / "out")
+    assert attempt(task, measure)["failed"].startswith("its part could not be written: ")
+
+
+def test_a_link_to_a_page_leads_there_whatever_its_name() -> None:
+    text = render("report", [flight(0, page="pages/50% #2 what?.html")])
+    assert 'href="pages/50%25%20%232%20what%3F.html"' in text
 
 
 @pytest.mark.slow

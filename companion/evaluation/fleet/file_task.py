@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+_STEM_BYTES = 60  # of a file's name in that of its part, with digest and ending far below 255 (choice)
+
 
 @dataclass(frozen=True, slots=True)
 class FileTask:
@@ -28,7 +30,7 @@ class FileTask:
         """Name of the part: of all that its result depends on, so that a further run makes anew what has changed.
 
         That is the file's place, size and time (of a folder: its files'), the words, what is in files that words name,
-        and the software's version.
+        and the software's version. Of a long name the part has the first letters, and none that is not UTF-8.
         """
         identity: list[object] = [str(self.path.resolve()), list(self.words), metadata.version("spanwise")]
         files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
@@ -37,7 +39,8 @@ class FileTask:
         named = [Path(word) for word in self.words]
         identity += [hashlib.sha256(path.read_bytes()).hexdigest() for path in named if path.is_file()]
         digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()
-        return f"{self.path.stem}-{digest[:12]}"
+        stem = self.path.stem.encode("utf-8", "ignore")[:_STEM_BYTES].decode("utf-8", "ignore")
+        return f"{stem}-{digest[:12]}"
 
     @property
     def result_file(self) -> Path:
