@@ -149,12 +149,18 @@ def _print_fit(base: Airframe, fit: RigFit, missing: list[str]) -> None:
 
 
 def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
-    left, right = ({e.t_ns: e.path for e in list_images(folder / f"cam{int(side)}", side)} for side in Side)
+    left, right = (_by_stamp(folder, side) for side in Side)
     both = sorted(left.keys() & right.keys())
     lonely = {str(t): "only one camera has this image" for t in left.keys() ^ right.keys()}
+    for side, stamped in zip(Side, (left, right), strict=True):
+        for t_ns, paths in stamped.items():
+            if len(paths) > 1:
+                names = ", ".join(path.name for path in paths)
+                lonely[str(t_ns)] = f"{names} of cam{int(side)} all have this stamp: give each image its own"
+    both = [t_ns for t_ns in both if str(t_ns) not in lonely]
     if not both:
-        raise ConfigError(f"{folder}: no stamp has an image of both cameras")
-    pairs = [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both]
+        raise ConfigError(f"{folder}: no stamp has one image of each camera")
+    pairs = [(left[t][0].name, read_grey(left[t][0]), read_grey(right[t][0])) for t in both]
     rows, columns = pairs[0][1].shape
     for name, *images in pairs:
         for side, image in zip(Side, images, strict=True):
@@ -164,6 +170,13 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
                     f"cam0 {columns} x {rows} px: set both cameras to the size that is flown, take all images anew"
                 )
     return pairs, lonely
+
+
+def _by_stamp(folder: Path, side: Side) -> dict[int, list[Path]]:
+    images: dict[int, list[Path]] = {}
+    for entry in list_images(folder / f"cam{int(side)}", side):
+        images.setdefault(entry.t_ns, []).append(entry.path)
+    return images
 
 
 def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:

@@ -418,6 +418,16 @@ def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_
     assert sigma_rad < fit.rotation_sigma_rad[1], "yaw and principal points make up for each other"
 
 
+def test_images_that_have_one_stamp_are_refused_by_name(tmp_path: Path) -> None:
+    for camera, names in (("cam0", ("1000.png", "7.png", "0007.png")), ("cam1", ("1000.png", "7.png"))):
+        (tmp_path / camera).mkdir()
+        for name in names:
+            cv2.imwrite(str(tmp_path / camera / name), np.zeros(SIZE[::-1], np.uint8))
+    pairs, refused = calibrate._read_pairs(tmp_path)
+    assert [name for name, *_ in pairs] == ["1000.png"]
+    assert refused == {"7": "0007.png, 7.png of cam0 all have this stamp: give each image its own"}
+
+
 def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:
     for camera, size_px in (("cam0", SIZE), ("cam1", (2 * SIZE[0], 2 * SIZE[1]))):
         (tmp_path / camera).mkdir()
