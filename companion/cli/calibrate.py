@@ -13,7 +13,7 @@ from companion.adapters.cameras.folder import list_images, read_grey
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.calibration.attitudes import find_attitudes
-from companion.calibration.boards import Board
+from companion.calibration.boards import LEAST_SQUARES, MOST_SQUARES, Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
@@ -60,8 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
         )
         kind.add_argument(
-            "--squares", type=integer(3, 100), nargs=2, default=(10, 7), metavar="N", help="across and down"
-        )
+            "--squares", type=integer(LEAST_SQUARES, MOST_SQUARES), nargs=2, default=(10, 7), metavar="N",
+            help="across and down",
+        )  # fmt: skip
         kind.add_argument(
             "--square-m", type=number(0.0, 10.0, "m"), required=True, metavar="M", help="side of a square, metres"
         )

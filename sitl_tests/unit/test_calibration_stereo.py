@@ -341,6 +341,20 @@ def test_a_board_is_not_found_where_there_is_none() -> None:
         Board("triangle", (10, 7), 0.04)
 
 
+def test_a_board_of_more_markers_than_the_dictionary_has_or_of_too_few_squares_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert len(Board("charuco", (22, 22), 0.04).charuco().getIds()) == 242
+    with pytest.raises(ConfigError, match=r"23 x 22 squares has 253 markers, .* has 250: at most 501 squares"):
+        Board("charuco", (23, 22), 0.04)
+    Board("chessboard", (23, 22), 0.04)
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["stereo", "images", "--square-m", "0.04", "--airframe", "a", "--squares", "3", "5"])
+    assert "4" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("bank_deg", [-60, -20, 20, 45, 120])
 def test_a_chessboard_that_its_colours_tell_from_its_half_turn_is_numbered_alike_in_any_bank(bank_deg: int) -> None:
     points, firsts = CHESS.points_m(), []
