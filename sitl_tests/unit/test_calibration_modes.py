@@ -237,6 +237,36 @@ runs = [{{ file = "run.mat", points = [1] }}]
     return layout
 
 
+@pytest.mark.parametrize(
+    ("wrong", "right", "complaint"),
+    [
+        ('"Leading"', '"leading"', "edge of point 1 must be leading or trailing, not 'Leading'"),
+        (
+            "points = [1, 2] }]",
+            "points = [1] }]",
+            r"the run of run\.mat names 2 points for 1 columns of accelerometers",
+        ),
+        ("points = [2] }]", "points = [1] }]", r"the run of run\.mat names point 2, which is not among the points"),
+        ("runs = []", 'runs = [{ file = "run.mat", points = [1] }]', "runs is empty"),
+        (
+            'edge = "leading" }, { number = 1, span_m = 0.7, aft_m = 0.0, edge = "leading" }]',
+            'edge = "leading" }]',
+            "point 1 stands twice in points",
+        ),
+    ],
+)
+def test_a_layout_whose_points_and_runs_do_not_fit_is_refused(
+    wrong: str, right: str, complaint: str, tmp_path: Path
+) -> None:
+    layout = _layout(tmp_path, [2.0, 30.0])
+    text = layout.read_text()
+    assert right in text
+    layout.write_text(text.replace(right, wrong))
+    noise = np.random.default_rng(0).normal(size=(4000, 2))
+    with pytest.raises(ConfigError, match=rf"layout\.toml: a value that cannot be: {complaint}"):
+        read_vibration_test(layout, tmp_path, lambda _path: {"signalIn": noise})
+
+
 def test_a_run_with_a_sample_that_is_no_number_is_refused(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).normal(size=(4000, 2))
     noise[500, 1] = np.nan
