@@ -9,27 +9,30 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli import fleet
 from companion.cli.main import main
 from companion.cli.steps import fleet_tasks
+from companion.core.wing.lowpass import Biquad
 from companion.errors import RecordingError
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.file_task import FileTask, tasks_of
 from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
-from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
+from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, flight_row, identification_row, tuning_row
 from companion.evaluation.fleet.runner import attempt, run
 from companion.evaluation.fleet.trends import findings, sentences, unremarkable
 from companion.evaluation.flight_log import gather
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, ImuBatch, Station, Tick
+from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, Tick
 
 
 def measure(task: FileTask) -> dict[str, Any]:
@@ -378,6 +381,37 @@ def test_white_noise_of_known_density_is_read_from_a_station_below_a_slow_wing()
     measured = log.noise_density(Station.LEFT)
     assert measured == pytest.approx(density, rel=0.06)
     assert log.noise_density(Station.RIGHT) is None
+
+
+def test_what_a_low_pass_takes_of_the_noise_is_given_back_or_the_noise_is_not_known() -> None:
+    """At a rate of 400 Hz the band is 100 to 180 Hz: of a corner at 20 Hz a twenty-fourth comes through, and is none.
+
+    The filter runs at 2 kHz in the autopilot, which sends every fifth sample; what folds back is a fifth at 180 Hz.
+    """
+    density, rate_hz = 0.02, 2000.0
+    rng = np.random.default_rng(3)
+    white = density * np.sqrt(0.5 * rate_hz) * rng.standard_normal(60_000)
+    measured = {}
+    for corner_hz in (20.0, 120.0):
+        biquad = Biquad.lowpass(corner_hz, rate_hz)
+        values = np.zeros((12_000, 6))
+        values[:, 2] = lfilter(biquad.b, (1.0, *biquad.a), white)[::5]
+        t_ns = np.arange(12_000) * 2_500_000
+        log = gather([ImuBatch(Station.ROOT, ClockName.HOST, t_ns, values, Axis.ALL, int(t_ns[-1]))])
+        measured[corner_hz] = log.noise_density(Station.ROOT, corner_hz)
+    assert measured == {20.0: None, 120.0: pytest.approx(density, rel=0.1)}
+
+
+def test_the_row_of_a_flight_counts_the_low_pass_that_the_vehicle_told(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).standard_normal((4000, 6))
+    t_ns = np.arange(4000) * 2_500_000
+    batch = ImuBatch(Station.ROOT, ClockName.HOST, t_ns, noise, Axis.ALL, int(t_ns[-1]))
+    recording = SimpleNamespace(path=tmp_path / "a.mcap", airframe=load_airframe("nadir-2m"))
+    assert flight_row(recording, gather([batch]))["root_noise"] is None, "the file's 20 Hz"
+    unfiltered = AutopilotParameter("INS_ACCEL_FILTER", 0.0, 0)
+    # white of 1 m/s^2 rms at 400 Hz
+    expected = pytest.approx(np.sqrt(1.0 / 200.0), rel=0.06)
+    assert flight_row(recording, gather([unfiltered, batch]))["root_noise"] == expected
 
 
 def record(path: Path, seconds: float) -> None:
