@@ -23,7 +23,7 @@ from companion.cli.steps import fleet_tasks
 from companion.core.wing.lowpass import Biquad
 from companion.errors import RecordingError
 from companion.evaluation.fleet.campaign import work_off
-from companion.evaluation.fleet.file_task import FileTask, tasks_of
+from companion.evaluation.fleet.file_task import FileTask, tasks_of, without_copies
 from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, flight_row, identification_row, tuning_row
@@ -105,6 +105,17 @@ def test_an_airframe_s_text_a_folder_s_files_and_the_version_name_another_part(
     keys.append(task.key)
     assert keys[0] == keys[1]
     assert len(set(keys)) == 5
+
+
+def test_a_copy_of_a_recording_counts_once(tmp_path: Path) -> None:
+    first, second, other = files(tmp_path, "a", "b", "c")
+    second.write_text(first.read_text())
+    other.write_text("z")  # as long, and another
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    unique, copies = without_copies([lab, other, second, first])
+    assert unique == [first, other, lab]
+    assert copies == [(second, first)]
 
 
 @pytest.mark.slow

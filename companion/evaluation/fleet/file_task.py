@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -52,6 +53,32 @@ def tasks_of(paths: Sequence[Path], words: tuple[str, ...], folder: Path) -> lis
     """Tasks of the files, each once, in the order of their names; a worker elsewhere reads the same places."""
     unique = sorted({path.resolve() for path in paths})
     return [FileTask(path, words, folder.resolve()) for path in unique]
+
+
+def without_copies(paths: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, Path]]]:
+    """The paths without files that hold the same bytes as an earlier one; and each such copy, with the earlier file.
+
+    A flight that counted twice would weigh twice in its aircraft's medians. Folders are all different.
+    """
+    unique: list[Path] = []
+    copies: list[tuple[Path, Path]] = []
+    sizes = Counter(path.stat().st_size for path in paths if path.is_file())
+    first: dict[bytes, Path] = {}
+    for path in sorted({path.resolve() for path in paths}):
+        if not path.is_file() or sizes[path.stat().st_size] == 1:
+            unique.append(path)
+            continue
+        try:
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").digest()
+        except OSError:  # its task says why it cannot be read
+            unique.append(path)
+            continue
+        if first.setdefault(digest, path) == path:
+            unique.append(path)
+        else:
+            copies.append((path, first[digest]))
+    return unique, copies
 
 
 def reason_alone(name: str, reason: str) -> str:
