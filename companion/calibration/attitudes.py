@@ -16,7 +16,7 @@ from companion.core.stereo.geometry import Lens, MountedCamera
 from companion.core.stereo.rotation import exp_rotation
 from companion.errors import ConfigError, RecordingError
 from companion.params.airframe import Airframe
-from companion.records import ClockName, Floats, Frame, FramePair, Ints, Record, Side, Station, TimesyncReply
+from companion.records import Bytes, ClockName, Floats, Frame, FramePair, Ints, Record, Side, Station, TimesyncReply
 
 _AROUND_NS = 250_000_000  # chosen: samples about an image: short beside a hand's patience, long beside noise
 _LEAST_SAMPLES = 10  # for a mean whose noise does not matter beside the bias (choice)
@@ -45,42 +45,70 @@ def find_attitudes(
 ) -> tuple[list[Attitude], dict[str, str]]:
     """Attitudes of one section, named by the time since the first image; and those refused, with the reason.
 
+    An attitude is refused once, where none of its images shows the board well; it has the reason of the first.
+
     Raises
     ------
     ConfigError
         The airframe has no such camera.
     RecordingError
-        The recording has no image of it.
+        The recording has no image of it, or the section's sensor sends no three axes of acceleration.
     """
     camera = airframe.left_camera if side is Side.LEFT else airframe.right_camera
     if camera is None:
         raise ConfigError(f"airframe '{airframe.name}' has no {side.name.lower()} camera")
     lens = MountedCamera.from_record(side, camera, f"{side.name.lower()}_camera").lens
     stamps, values = station_samples(recording.records(), recording.hub)[_STATIONS[side]]
+    _three_axes(values, side)
     attitudes: list[Attitude] = []
-    refused: dict[str, str] = {}
+    refused: dict[str, tuple[Floats, str]] = {}
     first_ns = None
     for t_ns, frame in _frames(recording, side):
         first_ns = t_ns if first_ns is None else first_ns
         up = _up(stamps, values, t_ns)
-        if up is None or any(float(np.arccos(np.clip(up @ each.up_section, -1, 1))) < _APART_RAD for each in attitudes):
+        if up is None or any(_alike(up, each.up_section) for each in attitudes):
             continue
         name = f"{(t_ns - first_ns) * 1e-9:.1f} s"
-        corners = find_corners(frame.image, board)
-        if corners is None:
-            refused[name] = "still, but no board in the image"
-            continue
-        rotation, error_px = _board_rotation(corners, board, lens)
-        if error_px > _FIT_PX:
-            refused[name] = f"the board fits the calibrated lens only to {error_px:.2f} px"
-            continue
-        attitudes.append(Attitude(name, up, rotation))
+        earlier = [refusal for refusal, (refused_up, _) in refused.items() if _alike(up, refused_up)]
+        rotation, why = _seen_board(frame.image, board, lens)
+        if rotation is not None:
+            attitudes.append(Attitude(name, up, rotation))
+            for refusal in earlier:
+                del refused[refusal]
+        elif not earlier:
+            refused[name] = up, why
     if first_ns is None:
         raise RecordingError(
             f"no image of the {side.name.lower()} camera whose clock is synced is in the recording; "
             "record with --record-images"
         )
-    return attitudes, refused
+    return attitudes, {name: why for name, (_, why) in refused.items()}
+
+
+def _three_axes(values: Floats, side: Side) -> None:
+    """Refuse a sensor without three axes of acceleration: columns that were not sent are zero."""
+    silent = [axis for axis, column in zip("xyz", values.T, strict=False) if not np.any(column)]
+    if len(values) and silent:
+        raise RecordingError(
+            f"the {side.name.lower()} section's sensor sends no acceleration along {' and '.join(silent)}, and without "
+            "it nothing tells where up is: calibrate the mounting with nodes of three axes"
+        )
+
+
+def _alike(up: Floats, other: Floats) -> bool:
+    """Whether two directions of up (3,) are those of the same attitude."""
+    return float(np.arccos(np.clip(up @ other, -1.0, 1.0))) < _APART_RAD
+
+
+def _seen_board(image: Bytes, board: Board, lens: Lens) -> tuple[Floats | None, str]:
+    """``camera_from_board`` (3, 3) and nothing, or None and why not."""
+    corners = find_corners(image, board)
+    if corners is None:
+        return None, "still, but no board in the image"
+    rotation, error_px = _board_rotation(corners, board, lens)
+    if error_px > _FIT_PX:
+        return None, f"the board fits the calibrated lens only to {error_px:.2f} px"
+    return rotation, ""
 
 
 def _frames(recording: Recorded, side: Side) -> Iterable[tuple[int, Frame]]:

@@ -11,9 +11,12 @@ from companion.errors import ConfigError
 from companion.records import Bytes, Floats, Ints
 
 _DICTIONARY = cv2.aruco.DICT_4X4_250
+_MARKERS = 250  # that the dictionary has (by definition): a board has one in every second square
 _MARKER_FRACTION = 0.75  # of a square: the usual ChArUco print (choice)
 _MARKER_PX = 25.0  # measured: side of the smallest marker that is read in most rendered views (README.md)
 LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it by (choice)
+LEAST_SQUARES = 4  # either way: fewer have corners in too few lines to tell a lens by (choice)
+MOST_SQUARES = 100  # either way: no print is finer (choice)
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
 _WINDOW_PX = (2, 11)  # half window of the corner refinement, least and most (choice)
@@ -37,8 +40,15 @@ class Board:
     def __post_init__(self) -> None:
         if self.kind not in ("chessboard", "charuco"):
             raise ConfigError(f"board '{self.kind}' is not known: chessboard or charuco")
-        if min(self.squares) < 4 or not self.square_m > 0.0:
-            raise ConfigError("a board needs at least 4 x 4 squares of positive size")
+        if min(self.squares) < LEAST_SQUARES or not self.square_m > 0.0:
+            raise ConfigError(f"a board needs at least {LEAST_SQUARES} x {LEAST_SQUARES} squares of positive size")
+        across, down = self.squares
+        markers = across * down // 2
+        if self.kind == "charuco" and markers > _MARKERS:
+            raise ConfigError(
+                f"a ChArUco board of {across} x {down} squares has {markers} markers, and the dictionary 4x4_250 has "
+                f"{_MARKERS}: at most {2 * _MARKERS + 1} squares"
+            )
 
     @property
     def inner(self) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -48,15 +49,19 @@ def trigger_latency(records: Iterable[Record], cameras: tuple[Camera, Camera]) -
     """
     to_middle_ns = np.array([round(to_middle_s(camera) * 1e9) for camera in cameras], dtype=np.int64)
     fired: dict[int, int] = {}
+    in_order: list[int] = []
     by_time = False
     stamps: list[Ints] = []
     late: list[tuple[float, float]] = []
     for record in records:
         if isinstance(record, Shot):
             fired[record.plan_id] = record.fired_host_ns
+            bisect.insort(in_order, record.fired_host_ns)
         elif isinstance(record, MatchSet) and record.clocks == (ClockName.HOST, ClockName.HOST):
             start_ns = record.mid_exposure_ns - to_middle_ns
-            fired_ns = fired.get(record.plan_id, _before(fired, int(start_ns.min())))
+            fired_ns = fired.get(record.plan_id)
+            if fired_ns is None:
+                fired_ns = _before(in_order, int(start_ns.min()))
             if fired_ns is not None and 0 <= int(start_ns.min()) - fired_ns <= _LONGEST_S * 1e9:
                 by_time |= record.plan_id not in fired
                 stamps.append(record.mid_exposure_ns)
@@ -77,6 +82,7 @@ def _step_s(stamps_ns: Ints) -> Floats:
     return np.asarray(1e-9 * np.minimum(np.gcd.reduce(stamps_ns, axis=0), _COARSEST_NS))
 
 
-def _before(fired: dict[int, int], start_ns: int) -> int | None:
+def _before(in_order: list[int], start_ns: int) -> int | None:
     """The latest shot before an exposure."""
-    return max((at for at in fired.values() if at <= start_ns), default=None)
+    place = bisect.bisect_right(in_order, start_ns)
+    return in_order[place - 1] if place else None

@@ -13,7 +13,7 @@ The layout is a TOML file::
     edge = "leading"
     [[runs]]
     file = "run_Run1.mat"
-    points = [1, 2]
+    points = [1, 2]   # one per column of accelerometers
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ import numpy as np
 from companion.calibration.modes import FrequencyResponse
 from companion.errors import ConfigError, RecordingError
 from companion.params.toml import read_toml
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 _SIGNALS = "signalIn"
+_EDGES = ("leading", "trailing")
 _LEAST_LINES = 16  # chosen: halves of eight lines, a mode's unknowns in each response
 _FASTEST_HZ = 1e6  # a higher rate is a wrong unit (choice)
 
@@ -61,7 +62,8 @@ def read_vibration_test(
     Raises
     ------
     ConfigError
-        The layout is missing, no TOML, or lacks a key, or a value of it is of the wrong kind.
+        The layout is missing, no TOML, or lacks a key, a value of it is of the wrong kind, or its points and runs do
+        not belong to each other.
     RecordingError
         A run's file is missing or has no such channel, or a channel has samples that are no numbers.
     """
@@ -69,17 +71,30 @@ def read_vibration_test(
     if "test" in layout and "points" not in layout:
         raise ConfigError(f"{layout_path}: is a mapping for spanwise diagnose, not a layout of points and runs")
     try:
-        points = [
-            Point(int(e["number"]), float(e["span_m"]), float(e["aft_m"]), str(e["edge"]) == "leading")
-            for e in layout["points"]
-        ]
+        points = [_point(entry) for entry in layout["points"]]
         place = {point.number: index for index, point in enumerate(points)}
+        if len(place) < len(points):
+            raise ValueError(f"point {_twice([point.number for point in points])} stands twice in points")
+        if not layout["runs"]:
+            raise ValueError("runs is empty: name each run's file and points")
         runs = [_run(layout, entry, place, folder, read_matlab) for entry in layout["runs"]]
     except KeyError as error:
         raise ConfigError(f"{layout_path}: key {error} is missing") from error
     except (TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{layout_path}: a value that cannot be: {error}") from error
     return VibrationTest(points, runs)
+
+
+def _point(entry: dict[str, Any]) -> Point:
+    number, edge = int(entry["number"]), entry["edge"]
+    if edge not in _EDGES:
+        raise ValueError(f"edge of point {number} must be {' or '.join(_EDGES)}, not '{edge}'")
+    return Point(number, float(entry["span_m"]), float(entry["aft_m"]), edge == _EDGES[0])
+
+
+def _twice(numbers: list[int]) -> int | None:
+    """The first number that stands there before; None where all differ."""
+    return next((number for k, number in enumerate(numbers) if number in numbers[:k]), None)
 
 
 def frequency_response(
@@ -118,6 +133,7 @@ def _run(
     read_matlab: Callable[[Path], Mapping[str, Any]],
 ) -> FrequencyResponse:
     path = folder / str(entry["file"])
+    numbers = _measured_points(layout, entry, place)
     signals, pushed, answering = _signals(path, layout, read_matlab)
     band_hz = layout["band_hz"]
     if not (isinstance(band_hz, list) and len(band_hz) == 2 and all(isinstance(end, int | float) for end in band_hz)):
@@ -138,8 +154,21 @@ def _run(
     if len(run.frequency_hz) < _LEAST_LINES:
         lines = f"{len(run.frequency_hz)} lines of the spectrum lie in band_hz"
         raise RecordingError(f"{path}: {lines}, {_LEAST_LINES} are needed: record longer or widen the band")
-    numbers = np.array([place[int(number)] for number in entry["points"]], dtype=np.int64)
     return FrequencyResponse(path.stem, numbers, run.frequency_hz, run.response)
+
+
+def _measured_points(layout: dict[str, Any], entry: dict[str, Any], place: dict[int, int]) -> Ints:
+    """Places among the points of those that a run measured, (accelerometers,)."""
+    numbers, columns = [int(number) for number in entry["points"]], layout["accelerometers"]["columns"]
+    run = f"the run of {entry['file']}"
+    if len(numbers) != len(columns):
+        raise ValueError(f"{run} names {len(numbers)} points for {len(columns)} columns of accelerometers")
+    again, unknown = _twice(numbers), [number for number in numbers if number not in place]
+    if again is not None:
+        raise ValueError(f"{run} names point {again} twice")
+    if unknown:
+        raise ValueError(f"{run} names point {unknown[0]}, which is not among the points")
+    return np.array([place[number] for number in numbers], dtype=np.int64)
 
 
 def _signals(

@@ -13,7 +13,7 @@ from companion.adapters.cameras.folder import list_images, read_grey
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.calibration.attitudes import find_attitudes
-from companion.calibration.boards import Board
+from companion.calibration.boards import LEAST_SQUARES, MOST_SQUARES, Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
@@ -60,8 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
         )
         kind.add_argument(
-            "--squares", type=integer(3, 100), nargs=2, default=(10, 7), metavar="N", help="across and down"
-        )
+            "--squares", type=integer(LEAST_SQUARES, MOST_SQUARES), nargs=2, default=(10, 7), metavar="N",
+            help="across and down",
+        )  # fmt: skip
         kind.add_argument(
             "--square-m", type=number(0.0, 10.0, "m"), required=True, metavar="M", help="side of a square, metres"
         )
@@ -149,12 +150,18 @@ def _print_fit(base: Airframe, fit: RigFit, missing: list[str]) -> None:
 
 
 def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
-    left, right = ({e.t_ns: e.path for e in list_images(folder / f"cam{int(side)}", side)} for side in Side)
+    left, right = (_by_stamp(folder, side) for side in Side)
     both = sorted(left.keys() & right.keys())
     lonely = {str(t): "only one camera has this image" for t in left.keys() ^ right.keys()}
+    for side, stamped in zip(Side, (left, right), strict=True):
+        for t_ns, paths in stamped.items():
+            if len(paths) > 1:
+                names = ", ".join(path.name for path in paths)
+                lonely[str(t_ns)] = f"{names} of cam{int(side)} all have this stamp: give each image its own"
+    both = [t_ns for t_ns in both if str(t_ns) not in lonely]
     if not both:
-        raise ConfigError(f"{folder}: no stamp has an image of both cameras")
-    pairs = [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both]
+        raise ConfigError(f"{folder}: no stamp has one image of each camera")
+    pairs = [(left[t][0].name, read_grey(left[t][0]), read_grey(right[t][0])) for t in both]
     rows, columns = pairs[0][1].shape
     for name, *images in pairs:
         for side, image in zip(Side, images, strict=True):
@@ -164,6 +171,13 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
                     f"cam0 {columns} x {rows} px: set both cameras to the size that is flown, take all images anew"
                 )
     return pairs, lonely
+
+
+def _by_stamp(folder: Path, side: Side) -> dict[int, list[Path]]:
+    images: dict[int, list[Path]] = {}
+    for entry in list_images(folder / f"cam{int(side)}", side):
+        images.setdefault(entry.t_ns, []).append(entry.path)
+    return images
 
 
 def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
 from companion.adapters.recordings.recording_factory import SUFFIXES, recordings_in
@@ -17,11 +18,12 @@ from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, MissingExtra
 from companion.evaluation.fleet import page
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.cluster import require_dask
-from companion.evaluation.fleet.file_task import tasks_of
+from companion.evaluation.fleet.file_task import tasks_of, without_copies
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv
 from companion.evaluation.fleet.runner import Row
 from companion.evaluation.fleet.trends import sentences
+from companion.reporting.page import printable
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
@@ -57,7 +59,9 @@ def execute(options: argparse.Namespace) -> int:
         require_dask()
     if options.kind == "tune" and options.airframe:
         raise ConfigError("fleet tune: only recordings of Spanwise can be tuned, and they hold their airframe")
-    paths = _files(options.logs)
+    paths, copies = without_copies(_files(options.logs))
+    for copy, original in copies:
+        print(printable(f"{copy} is a copy of {original}: it counts once"), file=sys.stderr)
     make_folder(options.out)
     check_output(options.out / "fleet.html", "--out")
     check_output(options.out / "fleet.csv", "--out")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -89,6 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = words[0] if words and words[0] in _COMMANDS else ""
     if name in _ONE_THREAD:  # before numpy is loaded
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be of any bytes
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         options = build_parser(words[0] if words else "").parse_args(words)
         code: int = _module(options.command).execute(options)

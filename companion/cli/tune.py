@@ -60,7 +60,7 @@ def execute(options: argparse.Namespace) -> int:
         rows.append(_row(together, try_out(options.recording, together), flown))
         _show(rows[-1], options)
         holds = rows[-1]["proposed"]
-    values = dict(together.changes) if holds or len(together.changes) < 2 else _best_single(rows)
+    values = dict(together.changes) if holds or len(together.changes) == 1 else _best_single(rows)
     result = {"recording": str(options.recording), "trials": rows, "proposal": values}
     print(json.dumps(result, indent=2) if options.json else _sentence(result))
     return 0
@@ -122,7 +122,10 @@ def _row(trial: ParameterTrial, outcome: TrialOutcome, flown: TrialOutcome | Non
 
 
 def proposal(rows: list[dict[str, Any]], settings: Any) -> ParameterTrial:
-    """Join the proposed values, of each parameter the one with the most trusted ranges, then the smallest sigma."""
+    """Join the proposed values, of each parameter the one with the most trusted ranges, then the smallest sigma.
+
+    Values that contradict each other are not joined: the trial is empty.
+    """
     best: dict[str, dict[str, Any]] = {}
     for row in _better_singles(rows):
         (name,) = row["changes"]
@@ -137,8 +140,9 @@ def _merit(row: dict[str, Any]) -> tuple[int, float]:
 
 
 def _best_single(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """The best proposed value alone, where the joined ones do not hold up together or were not tried."""
-    return dict(max(_better_singles(rows), key=_merit)["changes"])
+    """The best proposed value alone, where joined ones contradict each other, do not hold up, or were not tried."""
+    singles = _better_singles(rows)
+    return dict(max(singles, key=_merit)["changes"]) if singles else {}
 
 
 def _better_singles(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

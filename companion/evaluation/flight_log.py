@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
+from companion.core.autopilot_filters import VehicleFilters
+from companion.core.wing.lowpass import Butterworth2
 from companion.evaluation.plan_outcomes import SKIPPED, PlanOutcomes
 from companion.evaluation.published_ranges import PublishedRanges
 from companion.evaluation.recording_info import AT_THE_END, RecordingInfo
 from companion.params.airframe import FAMILIES
 from companion.records import (
+    AutopilotParameter,
     ClockState,
     CorrectedRange,
     Firing,
@@ -37,6 +40,7 @@ _NEIGHBOURHOOD_HZ = 6.0  # wider than any line, narrower than the spectrum of a 
 _LOWEST_LINE_HZ = 3.0  # below are manoeuvres and slow gusts (choice)
 _MODE_WIDTH = 0.1  # a peak so near a tracked frequency, as a share of it, is the mode's own (choice)
 _NOISE_BAND = (0.5, 0.9)  # of half the rate: above the wing's motion, below the sensor's own low-pass edge (choice)
+_PASSED = 0.3  # gain of a low-pass below which rounding and aliases pass for the sensor's noise (choice)
 _LINES = 6  # that are worth naming (choice)
 
 
@@ -83,7 +87,8 @@ class ModeSummary:
 class FlightLog:
     """Everything that a report of one flight draws, gathered record by record.
 
-    ``delays_s`` is the fired minus the planned instant of every shot that belongs to a plan.
+    ``delays_s`` is the fired minus the planned instant of every shot that belongs to a plan, ``filters`` what the
+    vehicle told of its low-passes.
     """
 
     info: RecordingInfo = field(default_factory=RecordingInfo)
@@ -95,6 +100,7 @@ class FlightLog:
     notices: list[Notice] = field(default_factory=list)
     delays_s: list[float] = field(default_factory=list)
     refused: list[Rejected] = field(default_factory=list)
+    filters: VehicleFilters = field(default_factory=VehicleFilters)
     _plans: dict[int, tuple[TriggerPlan, float]] = field(default_factory=dict)
     _stopped: dict[int, int] = field(default_factory=dict)
     _newest_plan: int = -1
@@ -128,6 +134,8 @@ class FlightLog:
             self.clocks.append(record)
         elif isinstance(record, Notice):
             self.notices.append(record)
+        elif isinstance(record, AutopilotParameter):
+            self.filters.take(record.name, record.value)
 
     def _plan(self, plan: TriggerPlan) -> None:
         self._newest_plan = plan.plan_id
@@ -153,17 +161,23 @@ class FlightLog:
         summaries = [self.mode(name) for name in FAMILIES]
         return Spectrum(*power, tuple(summary.frequency_hz for summary in summaries if summary is not None))
 
-    def noise_density(self, station: Station) -> float | None:
+    def noise_density(self, station: Station, lowpass_hz: float = 0.0) -> float | None:
         """Noise of the vertical accelerometer, (m/s^2)/sqrt(Hz): the median of its spectrum above the wing's motion.
 
-        Lines of propulsion raise few bins and no median. None for less than two seconds or an unknown rate.
+        Lines of propulsion raise few bins and no median. What a low-pass at ``lowpass_hz`` (0: none) takes is given
+        back. None for less than two seconds or an unknown rate, and where that filter leaves too little of the band.
         """
         power, rate_hz = self._power(station, 1.0), self._rate_hz(station)
         if power is None or rate_hz is None:
             return None
         f_hz, density = power
         low_hz, high_hz = (ratio * 0.5 * rate_hz for ratio in _NOISE_BAND)
-        return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
+        band = (f_hz >= low_hz) & (f_hz <= high_hz)
+        gain = np.abs(Butterworth2(lowpass_hz).response(f_hz)) if lowpass_hz > 0.0 else np.ones(len(f_hz))
+        passed = band & (gain >= _PASSED)
+        if 2 * np.count_nonzero(passed) < np.count_nonzero(band):
+            return None
+        return float(np.sqrt(np.median(density[passed] / gain[passed] ** 2)))
 
     def _rate_hz(self, station: Station) -> float | None:
         stream = self.info.streams.get(station)

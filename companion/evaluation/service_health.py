@@ -62,9 +62,10 @@ class ServiceHealth:
 
     @property
     def first_active_s(self) -> float | None:
-        """Time from the first status to the first active one."""
-        active_ns = [status.at_host_ns for status in self.statuses if status.health is Health.ACTIVE]
-        return (active_ns[0] - self.statuses[0].at_host_ns) * 1e-9 if active_ns else None
+        """Time from the flight's first status to its first active one; None where none was active before the end."""
+        flown = self.flown()
+        active_ns = [status.at_host_ns for status in flown if status.health is Health.ACTIVE]
+        return (active_ns[0] - flown[0].at_host_ns) * 1e-9 if active_ns else None
 
     def summary(self) -> str:
         """How long it was active and how it was with the last samples, in a line; empty without statuses."""

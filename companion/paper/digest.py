@@ -78,6 +78,7 @@ def over_seeds(results: Results) -> dict[str, Any]:
         served = [peak for peak in _every_draw(results, key).values() if peak["shots"]]
         scores[key] = {
             "seeds_served": len(served),
+            "seeds_trusted": sum(peak["trusted"] > 0 for peak in served),
             "removed": _least_and_greatest([peak["removed"] for peak in served]),
             "shots": sum(peak["shots"] for peak in served),
             "trusted": sum(peak["trusted"] for peak in served),
@@ -91,10 +92,14 @@ def sentence(over: dict[str, Any]) -> str:
     """The run in one sentence, as README quotes it."""
     boom, wing, count = over["boom_1m"], over["wing_60m"], len(over["seeds"])
     seeds = f"seed {over['seeds'][0]}" if count == 1 else f"seeds {', '.join(map(str, over['seeds']))}"
-    unserved = "".join(
-        f"; {count - entry['seeds_served']} of {count} seeds without a shot at a peak ({name})"
+    lacking = "".join(
+        f"; {lacks} of {count} seeds without a {what} ({name})"
         for name, entry in (("boom", boom), ("wing", wing))
-        if entry["seeds_served"] < count
+        for what, lacks in (
+            ("shot at a peak", count - entry["seeds_served"]),
+            ("trusted shot", entry["seeds_served"] - entry["seeds_trusted"]),
+        )
+        if lacks
     )
     return (
         f"{seeds}: of the error of the boom's steady sine {_from_to(boom['removed'], 100.0, 0)} % is removed (the "
@@ -102,7 +107,7 @@ def sentence(over: dict[str, Any]) -> str:
         f"{_from_to(wing['removed'], 100.0, 0)} % (the paper: {printed.FAR_REMOVED_PERCENT} %): "
         f"{_from_to(wing['rigid_percent'], 1.0, 1)} % of range become {_from_to(wing['corrected_percent'], 1.0, 2)} %, "
         f"and {_from_to(wing['published_trusted_percent'], 1.0, 2)} % where published, {wing['trusted']} of "
-        f"{wing['shots']} shots{unserved}."
+        f"{wing['shots']} shots{lacking}."
     )
 
 
@@ -112,7 +117,9 @@ def _from_to(pair: list[float], factor: float, digits: int) -> str:
 
 
 def _least_and_greatest(values: list[float]) -> list[float]:
-    return [min(values, default=float("nan")), max(values, default=float("nan"))]
+    """The ends of what is a number: a seed without a trusted shot has no error of them."""
+    numbers = [value for value in values if math.isfinite(value)]
+    return [min(numbers, default=math.nan), max(numbers, default=math.nan)]
 
 
 def _published(results: Results) -> str:

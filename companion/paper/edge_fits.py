@@ -60,8 +60,8 @@ def clamped_factor(points: ModalPoints) -> float:
     slopes = []
     for side in (-1.0, 1.0):
         edges = [_half(edge, side) for edge in (points.leading, points.trailing)]
-        fits = [fit_polynomial(edge, CLAMPED_DEGREE, clamped=True) for edge in edges]
-        slopes.append(WingShape(*fits).factors(place, tip).slope_factor_radpm)
+        leading, trailing = (fit_polynomial(edge, CLAMPED_DEGREE, clamped=True) for edge in edges)
+        slopes.append(WingShape(leading, trailing).factors(place, tip).slope_factor_radpm)
     return float(np.mean(slopes))
 
 

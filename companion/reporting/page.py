@@ -32,7 +32,12 @@ def render(page: Page, typeset: Typeset | None = None) -> str:
         The extra ``report`` is not installed.
     """
     template = _environment(typeset).get_template("page.html.j2")
-    return str(template.render(page=page))
+    return printable(str(template.render(page=page)))
+
+
+def printable(text: str) -> str:
+    r"""The text with what UTF-8 cannot hold spelled out (``\udcff``): names of files may be of any bytes."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def capitalised(text: str) -> str:

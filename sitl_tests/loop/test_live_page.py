@@ -330,6 +330,40 @@ def test_on_a_phone_what_is_wrong_stands_right_below_the_range(tmp_path: Path) -
         assert browser.value(f"{rows}.every((row) => row.querySelector('p').clientWidth > 0.95 * row.clientWidth)")
 
 
+def test_obstacles_that_are_not_known_or_old_are_no_clear_sight(tmp_path: Path) -> None:
+    none, ahead = np.zeros(72, bool), np.arange(72) < 7
+    comes = ["nothing known"]
+
+    def records(step: int) -> list[Record | Frame]:
+        t_ns, rest = 1_000 * S + step * STEP_NS, without(ObstacleSectors, CorrectedRange)(step)
+        (measured,) = (record for record in records_at(step) if isinstance(record, CorrectedRange))
+        clear = ahead if comes[0] == "clear" else none
+        sectors = ObstacleSectors(t_ns, np.full(72, 100.0), np.full(72, 0.5), none, clear, 1.0, 100.0)
+        withheld = dataclasses.replace(measured, trusted=False, reject=Reject.STALE)
+        return rest + {
+            "nothing known": [measured, sectors], "clear": [measured, sectors], "too far": [withheld, sectors],
+            "withheld": [withheld], "silent": [],
+        }[comes[0]]  # fmt: skip
+
+    word = "document.getElementById('sectors-word').textContent"
+    is_old = "document.getElementById('obstacles').classList.contains('old')"
+    with flying(tmp_path, records=records) as flown, Browser(*SIZES["phone"]) as browser:
+        browser.open(flown.url)
+        browser.until(f"{word} === 'nothing known'")
+        comes[0] = "clear"
+        browser.until(f"{word} === 'no obstacle in 7 sectors looked at'")
+        for doubtful in ("withheld", "silent"):
+            comes[0] = doubtful
+            browser.until(is_old)
+            assert text(browser, "#sectors-word").startswith("not known any more; last: no obstacle")
+            comes[0] = "clear"
+            browser.until(f"!{is_old}")
+        comes[0] = "too far"
+        browser.until(f"{word} === 'nothing known'")
+        assert not browser.value(is_old), "a range that is withheld for itself takes no sectors with it"
+        assert browser.complaints == []
+
+
 def test_a_range_that_alone_is_trusted_is_drawn(tmp_path: Path) -> None:
     def lonely(step: int) -> list[Record | Frame]:
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -84,6 +85,18 @@ def test_stamps_cut_to_milliseconds_leave_their_step_in_the_sigma() -> None:
 def test_without_plans_a_latency_beyond_the_period_is_ambiguous_and_that_is_told() -> None:
     assert trigger_latency(_records(40, known_plans=True), CAMERAS).ambiguous_s is None
     assert trigger_latency(_records(40, known_plans=False), CAMERAS).ambiguous_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("known_plans", [True, False])
+def test_four_times_the_shots_take_about_four_times_as_long(known_plans: bool) -> None:
+    """Sixteen times by looking through all shots for each exposure: hours of a recording never ended."""
+    took_s = []
+    for count in (3000, 12000):
+        records = _records(count, known_plans=known_plans)
+        began_s = time.process_time()
+        trigger_latency(records, CAMERAS)
+        took_s.append(time.process_time() - began_s)
+    assert took_s[1] < 8.0 * took_s[0]
 
 
 def test_a_few_shots_are_too_few() -> None:

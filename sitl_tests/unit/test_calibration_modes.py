@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -121,17 +122,55 @@ def test_symmetric_and_antisymmetric_modes_are_told_apart() -> None:
 
 @pytest.mark.slow
 def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
-    """Relative to the root section at 0.4 m: slope 3 y^2 / (y^3 - 0.4^3), twist 0.3 (y - 0.4), y = 1.2."""
+    """Relative to the root, which moves by -0.1: slope 3 y^2 / y^3, twist 0.3 y, y = 1.2; points begin at 0.4 m."""
     points = _points()
     first = bending_modes(_clean(), points)[0]
-    lift = 1.2**3 - 0.4**3
-    assert first.factors.slope_factor_radpm == pytest.approx(3 * 1.2**2 / lift, rel=0.01)
-    assert first.factors.twist_factor_radpm == pytest.approx(0.3 * (1.2 - 0.4) / lift, rel=0.01)
+    assert first.factors.slope_factor_radpm == pytest.approx(3 / 1.2, rel=0.01)
+    assert first.factors.twist_factor_radpm == pytest.approx(0.3 / 1.2**2, rel=0.01)
+
+
+_BEAM_M = np.linspace(0.0, 1.0, 201)
+
+
+def _clamped_cubic(y: np.ndarray) -> np.ndarray:
+    """The shape of a cantilever under a load at its tip."""
+    return np.asarray(0.5 * (3.0 * y**2 - y**3))
+
+
+def _uniform_beam(y: np.ndarray) -> np.ndarray:
+    """First mode of a uniform cantilever (Blevins 1979): beta L = 1.875104, sigma = 0.734096."""
+    x, ratio = 1.875104069 * y, 0.734095514
+    return np.asarray(0.5 * (np.cosh(x) - np.cos(x) - ratio * (np.sinh(x) - np.sin(x))))
+
+
+@pytest.mark.parametrize("shape", [_clamped_cubic, _uniform_beam])
+@pytest.mark.parametrize("innermost_m", [0.05, 0.15, 0.3, 0.4])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_clamped_wing_s_slope_comes_back_wherever_its_points_begin(
+    shape: Callable[[np.ndarray], np.ndarray], innermost_m: float, sign: float
+) -> None:
+    """A free wing: the root heaves and pitches, or rolls. Of the inboard bend nothing is taken for that motion."""
+    points = [
+        Point(0, side * span, 0.2 * span + (0.0 if leading else 0.2), leading)
+        for side in (1.0, -1.0)
+        for span in np.linspace(innermost_m, 1.0, 5)
+        for leading in (True, False)
+    ]
+    y, aft_m = np.array([abs(point.span_m) for point in points]), np.array([point.aft_m for point in points])
+    halves = np.array([1.0 if point.span_m > 0.0 else sign for point in points])
+    moved = halves * (shape(y) + (-0.3 - 0.1 * aft_m if sign > 0.0 else -0.4 * y))
+    mode = dataclasses.replace(_clean()[0], shape=moved, shape_sigma=np.zeros_like(moved))
+    (first,) = bending_modes([mode], points)
+    slope, sigma = first.factors.slope_factor_radpm, float(np.sqrt(first.factors.covariance[1, 1]))
+    true = float(np.gradient(shape(_BEAM_M), _BEAM_M, edge_order=2)[-1] / shape(_BEAM_M)[-1])
+    assert slope == pytest.approx(true, rel=1e-4 if shape is _clamped_cubic else 0.04)
+    assert abs(slope - true) < 2.0 * sigma
+    assert 0.02 * slope <= sigma * 1.001 < 0.06 * slope, "never about none"
 
 
 @pytest.mark.slow
 def test_cameras_inside_of_the_sensors_get_their_own_slope_and_deflection() -> None:
-    """Relative to the section at 0.4 m, y^3 - 0.4^3 and its slope 3 y^2: sensors at 1.0 m, cameras at 0.8 m."""
+    """Relative to the root, y^3 and its slope 3 y^2: sensors at 1.0 m, cameras at 0.8 m."""
     base = load_airframe("nadir-2m")
     left, right = (
         dataclasses.replace(camera, position_m=(0.0, 0.8 * side, 0.0))
@@ -140,12 +179,14 @@ def test_cameras_inside_of_the_sensors_get_their_own_slope_and_deflection() -> N
     )
     base = dataclasses.replace(base, left_camera=left, right_camera=right)
     made = airframe_with(base, bending_modes(_clean(), _points()))
-    assert made.wing.symmetric.slope_factor_radpm.value == pytest.approx(3.0 / (1.0 - 0.4**3), rel=0.01)
+    assert made.wing.symmetric.slope_factor_radpm.value == pytest.approx(3.0, rel=0.01)
     for camera in (made.left_camera, made.right_camera):
         assert camera is not None
         assert camera.slope_gain == pytest.approx(0.8**2, rel=0.01)
-        assert camera.lift_gain == pytest.approx((0.8**3 - 0.4**3) / (1.0 - 0.4**3), rel=0.01)
+        assert camera.lift_gain == pytest.approx(0.8**3, rel=0.01)
     assert stations(base, bending_modes(_clean(), _points())).notes == (
+        "the innermost points lie 0.40 m from the root: the bend inboard of them was not measured and is taken to be a "
+        "clamped wing's",
         "points reach 1.20 m, the base airframe's semispan is 1.00 m",
     )
 
@@ -235,6 +276,36 @@ runs = [{{ file = "run.mat", points = [1] }}]
     )
     (tmp_path / "run.mat").touch()
     return layout
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "complaint"),
+    [
+        ('"Leading"', '"leading"', "edge of point 1 must be leading or trailing, not 'Leading'"),
+        (
+            "points = [1, 2] }]",
+            "points = [1] }]",
+            r"the run of run\.mat names 2 points for 1 columns of accelerometers",
+        ),
+        ("points = [2] }]", "points = [1] }]", r"the run of run\.mat names point 2, which is not among the points"),
+        ("runs = []", 'runs = [{ file = "run.mat", points = [1] }]', "runs is empty"),
+        (
+            'edge = "leading" }, { number = 1, span_m = 0.7, aft_m = 0.0, edge = "leading" }]',
+            'edge = "leading" }]',
+            "point 1 stands twice in points",
+        ),
+    ],
+)
+def test_a_layout_whose_points_and_runs_do_not_fit_is_refused(
+    wrong: str, right: str, complaint: str, tmp_path: Path
+) -> None:
+    layout = _layout(tmp_path, [2.0, 30.0])
+    text = layout.read_text()
+    assert right in text
+    layout.write_text(text.replace(right, wrong))
+    noise = np.random.default_rng(0).normal(size=(4000, 2))
+    with pytest.raises(ConfigError, match=rf"layout\.toml: a value that cannot be: {complaint}"):
+        read_vibration_test(layout, tmp_path, lambda _path: {"signalIn": noise})
 
 
 def test_a_run_with_a_sample_that_is_no_number_is_refused(tmp_path: Path) -> None:

@@ -191,6 +191,37 @@ def test_an_aircraft_that_moves_gives_no_attitude() -> None:
     assert find_attitudes(Moving(np.eye(3)), base, CHARUCO, Side.LEFT) == ([], {})
 
 
+class _Held(_Recording):
+    """One attitude, held for two seconds before ten pictures; the sensor sends some axes."""
+
+    def __init__(self, axes: Axis, images: list[np.ndarray]) -> None:
+        super().__init__(np.eye(3))
+        self._axes, self._images = axes, images
+
+    def records(self) -> Iterable[Record]:
+        stamps = 10**9 + np.arange(200) * 10_000_000
+        felt = np.tile([0.5, 0.7, -G, 0.0, 0.0, 0.0], (200, 1)) * self._axes.mask
+        yield ImuBatch(Station.LEFT, ClockName.HOST, stamps, felt, self._axes, 10**9)
+        for k, image in enumerate(self._images):
+            at_ns = 1_500_000_000 + k * 100_000_000
+            yield Frame(Side.LEFT, k, ClockName.HOST, at_ns, 2_000_000, 0, -1, image)
+
+
+def test_an_attitude_without_a_board_is_refused_once_and_not_where_a_later_image_shows_it() -> None:
+    bare, board = np.zeros((480, 640), np.uint8), _pairs("charuco", 1)[0][1]
+    attitudes, refused = find_attitudes(_Held(Axis.ALL, [bare] * 10), _base(), CHARUCO, Side.LEFT)
+    assert attitudes == []
+    assert refused == {"0.0 s": "still, but no board in the image"}
+    attitudes, refused = find_attitudes(_Held(Axis.ALL, [bare, bare, board]), _base(), CHARUCO, Side.LEFT)
+    assert [attitude.name for attitude in attitudes] == ["0.2 s"]
+    assert refused == {}
+
+
+def test_a_node_with_a_vertical_axis_alone_cannot_tell_up() -> None:
+    with pytest.raises(RecordingError, match="left section's sensor sends no acceleration along x and y"):
+        find_attitudes(_Held(Axis.Z, []), _base(), CHARUCO, Side.LEFT)
+
+
 def test_a_recording_without_images_says_so() -> None:
     class Blind(_Recording):
         def records(self) -> Iterable[Record]:

@@ -341,6 +341,20 @@ def test_a_board_is_not_found_where_there_is_none() -> None:
         Board("triangle", (10, 7), 0.04)
 
 
+def test_a_board_of_more_markers_than_the_dictionary_has_or_of_too_few_squares_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert len(Board("charuco", (22, 22), 0.04).charuco().getIds()) == 242
+    with pytest.raises(ConfigError, match=r"23 x 22 squares has 253 markers, .* has 250: at most 501 squares"):
+        Board("charuco", (23, 22), 0.04)
+    Board("chessboard", (23, 22), 0.04)
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["stereo", "images", "--square-m", "0.04", "--airframe", "a", "--squares", "3", "5"])
+    assert "4" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("bank_deg", [-60, -20, 20, 45, 120])
 def test_a_chessboard_that_its_colours_tell_from_its_half_turn_is_numbered_alike_in_any_bank(bank_deg: int) -> None:
     points, firsts = CHESS.points_m(), []
@@ -416,6 +430,16 @@ def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_
     sigma_rad = toe_sigma_rad(fit)
     assert error_rad < 3.5 * sigma_rad
     assert sigma_rad < fit.rotation_sigma_rad[1], "yaw and principal points make up for each other"
+
+
+def test_images_that_have_one_stamp_are_refused_by_name(tmp_path: Path) -> None:
+    for camera, names in (("cam0", ("1000.png", "7.png", "0007.png")), ("cam1", ("1000.png", "7.png"))):
+        (tmp_path / camera).mkdir()
+        for name in names:
+            cv2.imwrite(str(tmp_path / camera / name), np.zeros(SIZE[::-1], np.uint8))
+    pairs, refused = calibrate._read_pairs(tmp_path)
+    assert [name for name, *_ in pairs] == ["1000.png"]
+    assert refused == {"7": "0007.png, 7.png of cam0 all have this stamp: give each image its own"}
 
 
 def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:

@@ -51,6 +51,29 @@ def test_a_folder_that_is_not_of_this_kind_is_named(tmp_path: Path) -> None:
         FolderPair(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("\N{SUPERSCRIPT TWO},7.png\n".encode(), r"data\.csv:1: expected 'time in ns, file name'"),
+        (b"\xff\xfe1,7.png\n", r"data\.csv: is no table in UTF-8"),
+        (b"#t,name\n1,7.png\n2,7.png\n", r"data\.csv:3: 7\.png has a second stamp here"),
+        (b"9" * 19 + b",7.png\n", r"data\.csv:1: expected"),
+    ],
+)
+def test_a_table_of_stamps_that_is_none_is_told_in_a_sentence(tmp_path: Path, table: bytes, sentence: str) -> None:
+    _write(tmp_path, "cam0", [7])
+    (tmp_path / "cam0" / "data.csv").write_bytes(table)
+    with pytest.raises(DeviceError, match=sentence):
+        FolderPair(tmp_path)
+
+
+def test_a_name_whose_digits_are_no_decimal_ones_is_no_stamp(tmp_path: Path) -> None:
+    _write(tmp_path, "cam0", [1])
+    (tmp_path / "cam0" / "data" / "\N{SUPERSCRIPT TWO}.png").write_bytes(b"")
+    with pytest.raises(DeviceError, match="is no time in nanoseconds"):
+        FolderPair(tmp_path)
+
+
 def test_sensor_files_become_cameras_of_the_same_geometry(tmp_path: Path) -> None:
     """Right camera 0.2 m along the left one's rows, turned by 0.03 rad about its own columns."""
     c, s = np.cos(0.03), np.sin(0.03)

@@ -9,27 +9,30 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli import fleet
 from companion.cli.main import main
 from companion.cli.steps import fleet_tasks
+from companion.core.wing.lowpass import Biquad
 from companion.errors import RecordingError
 from companion.evaluation.fleet.campaign import work_off
-from companion.evaluation.fleet.file_task import FileTask, tasks_of
+from companion.evaluation.fleet.file_task import FileTask, tasks_of, without_copies
 from companion.evaluation.fleet.page import render, short_name
 from companion.evaluation.fleet.parquet import write_parquet
-from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
-from companion.evaluation.fleet.runner import run
-from companion.evaluation.fleet.trends import findings, unremarkable
+from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, flight_row, identification_row, tuning_row
+from companion.evaluation.fleet.runner import attempt, run
+from companion.evaluation.fleet.trends import findings, sentences, unremarkable
 from companion.evaluation.flight_log import gather
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, ImuBatch, Station, Tick
+from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, Tick
 
 
 def measure(task: FileTask) -> dict[str, Any]:
@@ -102,6 +105,42 @@ def test_an_airframe_s_text_a_folder_s_files_and_the_version_name_another_part(
     keys.append(task.key)
     assert keys[0] == keys[1]
     assert len(set(keys)) == 5
+
+
+def test_a_copy_of_a_recording_counts_once(tmp_path: Path) -> None:
+    first, second, other = files(tmp_path, "a", "b", "c")
+    second.write_text(first.read_text())
+    other.write_text("z")  # as long, and another
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    unique, copies = without_copies([lab, other, second, first])
+    assert unique == [first, other, lab]
+    assert copies == [(second, first)]
+
+
+@pytest.mark.slow
+def test_a_file_of_an_odd_name_costs_no_other_its_row(tmp_path: Path) -> None:
+    names = ["a", "f" * 240, "ü" * 120, os.fsdecode(b"f\xff"), os.fsdecode(b"bad\xff")]
+    tasks = tasks_of(files(tmp_path, *names), ("measure",), tmp_path / "out")
+    rows = work_off(tasks, measure, 1)
+    assert [row["letters"] for row in rows if "letters" in row] == [1, 2, 4, 3]
+    table, page = as_csv(rows).encode(), render("report", rows).encode()
+    assert b"f\\udcff.txt" in table
+    assert b"f\\udcff.txt" in page
+    (failed,) = (row for row in rows if "failed" in row)
+    assert failed["failed"] == "bad\\udcff.txt: cannot be read"
+
+
+def test_a_part_that_cannot_be_written_is_the_failure_of_its_task_alone(tmp_path: Path) -> None:
+    (path,) = files(tmp_path, "one")
+    (tmp_path / "out").write_text("a file where the folder should be")
+    (task,) = tasks_of([path], ("measure",), tmp_path / "out")
+    assert attempt(task, measure)["failed"].startswith("its part could not be written: ")
+
+
+def test_a_link_to_a_page_leads_there_whatever_its_name() -> None:
+    text = render("report", [flight(0, page="pages/50% #2 what?.html")])
+    assert 'href="pages/50%25%20%232%20what%3F.html"' in text
 
 
 @pytest.mark.slow
@@ -228,13 +267,48 @@ def test_a_mode_that_falls_and_a_sensor_whose_noise_grows_are_named_once_each_wi
     # thirds of a line that falls by 6 % are 4 % apart, two thirds of all
     aged = [row | {"airframe": "old", "symmetric_hz": row["symmetric_hz"] * (1.0 - 0.06 * k / 29),
                    "left_noise": 0.02 * (1.0 + k / 29)} for k, row in enumerate(steady)]  # fmt: skip
-    sentences = findings([*steady, *aged])
-    assert len(sentences) == 2
-    (softer,) = [text for text in sentences if "symmetric mode" in text]
+    named = findings([*steady, *aged])
+    assert len(named) == 2
+    (softer,) = [text for text in named if "symmetric mode" in text]
     percent = float(softer.partition("(")[2].partition(" %")[0])
     assert percent == pytest.approx(-4.0, abs=1.2), "three sigma of two medians of ten flights"
     assert softer.startswith("old: symmetric mode went from ")
-    assert any(text.startswith("old: left sensor's noise went from") for text in sentences)
+    assert any(text.startswith("old: left sensor's noise went from") for text in named)
+
+
+def test_a_sensor_without_noise_is_stuck_and_spoils_no_median() -> None:
+    noises = [0.0, 1e-17, 0.0, *(0.02 + 1e-4 * (k % 2) for k in range(9))]
+    rows = [flight(k, left_noise=noise) for k, noise in enumerate(noises)]
+    expected = "nadir-2m: left sensor is stuck: it has no noise at all in 3 of 12 flights, first in 0.mcap"
+    assert findings(rows) == [expected]
+    assert unremarkable(rows) == []
+
+
+def test_a_drift_from_nothing_has_no_percentage() -> None:
+    rows = [flight(k, symmetric_damping=0.0 if k < 4 else 0.02, symmetric_damping_sigma=1.0) for k in range(9)]
+    assert findings(rows) == [
+        "nadir-2m: symmetric mode's damping went from 0 to 0.02 of critical between the first and the last third of "
+        "9 flights"
+    ]
+
+
+def test_what_is_not_shown_of_many_findings_is_no_aircraft_without_any() -> None:
+    rows = [
+        flight(k, airframe=f"a{aircraft}", symmetric_hz=5.5 if k == 5 else 5.0)
+        for aircraft in range(25)
+        for k in range(6)
+    ]
+    said = sentences(rows)
+    assert len(said) == 21, "twenty of them"
+    assert said[-1] == "and 5 more"
+
+
+def test_a_flight_is_held_against_a_median_that_has_a_sigma_of_its_own() -> None:
+    """One long flight among short ones: the median is known to 0.03 Hz, whatever the long one's sigma is."""
+    short = [flight(k, symmetric_hz=5.0 + 0.05 * (k - 2), symmetric_sigma_hz=0.05) for k in range(5)]
+    assert findings([*short, flight(9, symmetric_hz=5.06, symmetric_sigma_hz=0.005)]) == []
+    assert len(findings([*short, flight(9, symmetric_hz=5.2, symmetric_sigma_hz=0.005)])) == 1
+    assert findings([*short, flight(9, symmetric_hz=5.2, symmetric_sigma_hz=None)]) == [], "nothing judges it"
 
 
 @pytest.mark.parametrize("count", [9, 12, 30])
@@ -318,6 +392,37 @@ def test_white_noise_of_known_density_is_read_from_a_station_below_a_slow_wing()
     measured = log.noise_density(Station.LEFT)
     assert measured == pytest.approx(density, rel=0.06)
     assert log.noise_density(Station.RIGHT) is None
+
+
+def test_what_a_low_pass_takes_of_the_noise_is_given_back_or_the_noise_is_not_known() -> None:
+    """At a rate of 400 Hz the band is 100 to 180 Hz: of a corner at 20 Hz a twenty-fourth comes through, and is none.
+
+    The filter runs at 2 kHz in the autopilot, which sends every fifth sample; what folds back is a fifth at 180 Hz.
+    """
+    density, rate_hz = 0.02, 2000.0
+    rng = np.random.default_rng(3)
+    white = density * np.sqrt(0.5 * rate_hz) * rng.standard_normal(60_000)
+    measured = {}
+    for corner_hz in (20.0, 120.0):
+        biquad = Biquad.lowpass(corner_hz, rate_hz)
+        values = np.zeros((12_000, 6))
+        values[:, 2] = lfilter(biquad.b, (1.0, *biquad.a), white)[::5]
+        t_ns = np.arange(12_000) * 2_500_000
+        log = gather([ImuBatch(Station.ROOT, ClockName.HOST, t_ns, values, Axis.ALL, int(t_ns[-1]))])
+        measured[corner_hz] = log.noise_density(Station.ROOT, corner_hz)
+    assert measured == {20.0: None, 120.0: pytest.approx(density, rel=0.1)}
+
+
+def test_the_row_of_a_flight_counts_the_low_pass_that_the_vehicle_told(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).standard_normal((4000, 6))
+    t_ns = np.arange(4000) * 2_500_000
+    batch = ImuBatch(Station.ROOT, ClockName.HOST, t_ns, noise, Axis.ALL, int(t_ns[-1]))
+    recording = SimpleNamespace(path=tmp_path / "a.mcap", airframe=load_airframe("nadir-2m"))
+    assert flight_row(recording, gather([batch]))["root_noise"] is None, "the file's 20 Hz"
+    unfiltered = AutopilotParameter("INS_ACCEL_FILTER", 0.0, 0)
+    # white of 1 m/s^2 rms at 400 Hz
+    expected = pytest.approx(np.sqrt(1.0 / 200.0), rel=0.06)
+    assert flight_row(recording, gather([unfiltered, batch]))["root_noise"] == expected
 
 
 def record(path: Path, seconds: float) -> None:

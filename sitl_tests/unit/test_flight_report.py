@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -272,6 +273,15 @@ def test_the_command_writes_one_page_that_refers_to_nothing_outside(
     assert "<title>Flight: usable</title>" in text
     assert "All settings had their defaults." in text
     assert "nan" not in text.split("base64")[0].lower()
+
+
+def test_a_recording_whose_name_is_no_utf_8_has_its_page(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"bare\xff.mcap")
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    writer.write(shaken(Station.ROOT)[0])
+    writer.close()
+    assert main(["report", str(path)]) == 3
+    assert "bare\\udcff.mcap" in path.with_suffix(".html").read_text(encoding="utf-8")
 
 
 def test_a_recording_without_modes_or_ranges_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -226,6 +226,18 @@ def test_the_sentence_of_the_readme_is_in_the_numbers_with_the_ranges_that_it_te
     assert numbers["sentence"] in section.findings[0]
 
 
+@pytest.mark.parametrize("mute_first", [True, False])
+def test_a_seed_without_a_trusted_shot_is_named_and_spoils_no_range(results: Results, mute_first: bool) -> None:
+    peak = results.peaks["wing_60m"]
+    mute = {**peak, "trusted": 0, "published_trusted": {**peak["published_trusted"], "rms_percent": float("nan")}}
+    first, later = (mute, peak) if mute_first else (peak, mute)
+    draws = {"boom_1m": {6: results.peaks["boom_1m"]}, "wing_60m": {6: later}}
+    over = digest.over_seeds(Results(5, results.outcomes, {**results.peaks, "wing_60m": first}, results.randoms, draws))
+    rms_percent = peak["published_trusted"]["rms_percent"]
+    assert over["wing_60m"]["published_trusted_percent"] == [rms_percent, rms_percent]
+    assert digest.sentence(over).endswith("4 of 8 shots; 1 of 2 seeds without a trusted shot (wing).")
+
+
 def test_the_first_page_tells_what_is_published(results: Results) -> None:
     """Trusted shots alone are published: those of the peaks here, none of the random instants."""
     section = digest.section(results, {"share_of_slope_variance": 0.9999})

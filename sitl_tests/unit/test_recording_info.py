@@ -196,6 +196,10 @@ def test_a_service_that_never_was_active_says_so() -> None:
     assert served(*WARM_UP, samples_until_s=5.0).service.answer().startswith("no: it was never active")
     assert served(samples_until_s=5.0).service.answer() == "no status recorded"
     assert "never active" in served(*WARM_UP, samples_until_s=5.0).service.summary()
+    first = status(5.4, Health.ACTIVE, "tracking")
+    late = served(*WARM_UP, first, samples_until_s=5.0).service
+    assert late.answer().startswith("no: it was never active"), "the end after the last sample is none of the flight's"
+    assert late.first_active_s is None
 
 
 def test_what_is_refused_after_the_last_sample_is_the_end_and_no_stopped_stream() -> None:

@@ -162,6 +162,17 @@ def test_trials_that_are_done_are_proposed_from_after_ctrl_c(
     assert main([*command, *tries[2:]]) == 130
 
 
+def test_of_values_that_contradict_each_other_the_better_one_is_proposed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes = {"": FLOWN, "RNG_MIN": like_flown(trusted=165), "RNG_MAX": like_flown(sigma_ratio=0.008)}
+    monkeypatch.setattr(tune, "_settings", lambda _: Settings())
+    monkeypatch.setattr(tune, "try_out", lambda _, trial: outcomes["".join(name for name, _ in trial.changes)])
+    command = ["tune", str(tmp_path / "flight.mcap"), "--workers", "1", "--try=RNG_MIN=25", "--try=RNG_MAX=20"]
+    assert main(command) == 0
+    assert "proposed: --set RNG_MIN=25 " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("words", [["--try", "RNG_TRUST"], ["--try", "RNG_TRUST=much"], ["--try", "RNG_TRUST=9"]])
 @pytest.mark.slow
 def test_a_value_that_cannot_be_tried_is_refused(words: list[str], flight: Path) -> None:

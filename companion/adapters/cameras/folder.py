@@ -16,6 +16,7 @@ from companion.errors import DeviceError
 from companion.records import PLAN_UNKNOWN, Bytes, ClockName, Frame, Side
 
 _FOLDERS = ("cam0", "cam1")
+_LATEST_NS = 2**63 - 1  # that 64 bits hold (derived)
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 
 
@@ -90,12 +91,13 @@ class FolderPair:
 
 
 def list_images(camera: Path, side: Side) -> list[Stamped]:
-    """Images of one camera's folder with their stamps, in order.
+    """Images of one camera's folder with their stamps, in order; two that have one stamp are both there.
 
     Raises
     ------
     DeviceError
-        There is no such folder, it is empty, or a name is no stamp and no ``data.csv`` gives one.
+        There is no such folder, it is empty, a name is no stamp and no ``data.csv`` gives one, or that is no
+        table of stamps.
     """
     data = camera / "data" if (camera / "data").is_dir() else camera
     if not data.is_dir():
@@ -104,7 +106,7 @@ def list_images(camera: Path, side: Side) -> list[Stamped]:
     frames = [Stamped(_stamp(path, stamps), side, path) for path in data.iterdir() if path.suffix.lower() in _IMAGES]
     if not frames:
         raise DeviceError(f"{data}: no images ({', '.join(_IMAGES)})")
-    return sorted(frames, key=lambda entry: entry.t_ns)
+    return sorted(frames, key=lambda entry: (entry.t_ns, entry.path))
 
 
 def read_grey(path: Path) -> Bytes:
@@ -121,20 +123,33 @@ def read_grey(path: Path) -> Bytes:
 def _stamp(path: Path, stamps: dict[str, int]) -> int:
     if path.name in stamps:
         return stamps[path.name]
-    if not path.stem.isdigit():
+    t_ns = _nanoseconds(path.stem)
+    if t_ns is None:
         raise DeviceError(f"{path}: its name is no time in nanoseconds, and data.csv does not list it")
-    return int(path.stem)
+    return t_ns
+
+
+def _nanoseconds(text: str) -> int | None:
+    """A stamp in digits; None for any other text."""
+    if not text.isdecimal() or len(text.lstrip("0")) > len(str(_LATEST_NS)):
+        return None
+    return int(text) if int(text) <= _LATEST_NS else None
 
 
 def _table(path: Path) -> dict[str, int]:
     if not path.is_file():
         return {}
     stamps: dict[str, int] = {}
-    with path.open(encoding="utf-8", newline="") as file:
-        for number, row in enumerate(csv.reader(file), start=1):
-            if not row or row[0].lstrip().startswith("#"):
-                continue
-            if len(row) < 2 or not row[0].strip().isdigit():
-                raise DeviceError(f"{path}:{number}: expected 'time in ns, file name'")
-            stamps[row[1].strip()] = int(row[0])
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DeviceError(f"{path}: is no table in UTF-8: save it so, or name the images by their stamps") from error
+    for number, row in enumerate(rows, start=1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        t_ns = _nanoseconds(row[0].strip()) if len(row) > 1 else None
+        if t_ns is None:
+            raise DeviceError(f"{path}:{number}: expected 'time in ns, file name'")
+        if stamps.setdefault(row[1].strip(), t_ns) != t_ns:
+            raise DeviceError(f"{path}:{number}: {row[1].strip()} has a second stamp here: leave one")
     return stamps

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import Link, open_link
+from companion.calibration.boards import LEAST_SQUARES, MOST_SQUARES
 from companion.cli import calibrate, run
 from companion.cli.doctor import diagnose
 from companion.cli.steps.airframe_check import check_airframe
@@ -47,8 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trigger", default="none", metavar="LINE", help="as of run, for the first range")
     parser.add_argument("--square-m", type=number(0.0, 10.0, "m"), metavar="M", help="side of the board's squares")
     parser.add_argument(
-        "--squares", type=integer(3, 100), nargs=2, default=(10, 7), metavar="N", help="of the ChArUco board"
-    )
+        "--squares", type=integer(LEAST_SQUARES, MOST_SQUARES), nargs=2, default=(10, 7), metavar="N",
+        help="of the ChArUco board",
+    )  # fmt: skip
     parser.add_argument("--for", type=seconds, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
     parser.add_argument(
         "--range-within", type=seconds, default=300.0, metavar="SECONDS", help="longest wait for the first range"

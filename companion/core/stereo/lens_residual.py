@@ -164,7 +164,11 @@ def straightened(rays: Rays, residual: Floats, axes: LensAxes) -> Rays:
 
 
 def pair_variances(airframe: Airframe) -> Floats:
-    """Prior variances (9,) of the pair's terms; errors of the two calibrations are independent."""
+    """Prior variances (9,) of the pair's terms, as if errors of the two lenses were independent.
+
+    Those that ``calibrate stereo`` finds in one bundle go together: differences are overstated by it, and the mean of
+    ``tilt_x`` is understated (README.md of :mod:`companion.calibration`).
+    """
     difference = (np.stack([_sigmas(camera) for camera in airframe.camera_pair]) ** 2).sum(axis=0)
     return np.concatenate([difference, 0.25 * difference[_MEANS]])
 

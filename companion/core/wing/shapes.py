@@ -140,10 +140,15 @@ class ModalFactors:
 
 @dataclass(frozen=True, slots=True)
 class WingShape:
-    """A mode of one wing half from its two edges."""
+    """A mode of one wing half from its two edges.
+
+    ``covariance`` (2 n, 2 n) is that of both edges' coefficients where they hang together; None where each is fitted
+    alone.
+    """
 
     leading: EdgeFit
     trailing: EdgeFit
+    covariance: Floats | None = None
 
     def at(self, span_m: float, chord_fraction: float, chord_m: float) -> ShapeAt:
         """Evaluate at a camera: ``chord_fraction`` is 0 at the leading and 1 at the trailing edge of ``chord_m``.
@@ -188,7 +193,12 @@ class WingShape:
                 np.concatenate([lead, -trail]) / chord_m,
             ]
         )
-        n = len(lead)
-        covariance = np.zeros((rows.shape[1], rows.shape[1]))
+        return rows, np.concatenate([self.leading.coefficients, self.trailing.coefficients]), self._covariance()
+
+    def _covariance(self) -> Floats:
+        if self.covariance is not None:
+            return self.covariance
+        n = len(self.leading.coefficients)
+        covariance = np.zeros((2 * n, 2 * n))
         covariance[:n, :n], covariance[n:, n:] = self.leading.covariance, self.trailing.covariance
-        return rows, np.concatenate([self.leading.coefficients, self.trailing.coefficients]), covariance
+        return covariance

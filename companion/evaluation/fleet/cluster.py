@@ -7,6 +7,7 @@ held after a few deaths; a condemned task is tried once more with no other besid
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -88,7 +89,8 @@ def _made(client: Any, tasks: Sequence[T], work: Callable[[T], Row], address: st
         ((_, row),) = _finished(client, [task], work, address)
         if row is None:
             row = failure(task, "its worker ended each time")
-            write_part(task, row)
+            with contextlib.suppress(OSError):  # a failure is tried again by a further run anyway
+                write_part(task, row)
         yield task, row
 
 

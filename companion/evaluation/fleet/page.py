@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from companion.evaluation.fleet.file_task import reason_alone
 from companion.evaluation.fleet.trends import sentences
@@ -79,7 +80,7 @@ def _body(rows: Rows, good: Rows) -> Iterator[Block]:
     columns = [name for name in dict.fromkeys(name for row in good for name in row) if name not in _PLACES]
     shown = [name for name in columns if not name.startswith(_COUNTED)][:_MOST_COLUMNS]
     cells = [(_name(row), _state(row), *(_cell(name, row.get(name)) for name in shown)) for row in rows]
-    links = [str(row.get("page", "")) for row in rows]
+    links = [quote(str(row.get("page", ""))) for row in rows]
     heads = ("file", "state", *map(_head, shown))
     yield Table(heads, cells, note="all columns are in fleet.csv and fleet.parquet", links=links)
 

@@ -37,11 +37,14 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
         mode = log.mode(name)
         for column, figure in (("hz", "frequency_hz"), ("sigma_hz", "frequency_sigma_hz"), ("rms_m", "rms_m")):
             row[f"{name}_{column}"] = _rounded(getattr(mode, figure, None))
+    filtered = log.filters.applied(recording.airframe)
     for station in Station:
         stream = log.info.streams.get(station)
         rate_hz = None if stream is None else stream.rate_hz
         row[f"{station.name.lower()}_rate_hz"] = None if rate_hz is None else round(rate_hz, 2)
-        row[f"{station.name.lower()}_noise"] = _rounded(log.noise_density(station))
+        row[f"{station.name.lower()}_noise"] = _rounded(
+            log.noise_density(station, filtered.sensor(station).lowpass_accel_hz)
+        )
     for reason, count in log.withheld().items():
         row[f"withheld: {reason}"] = count
     return row

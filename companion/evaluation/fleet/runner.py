@@ -67,14 +67,17 @@ def run(tasks: Sequence[T], work: Callable[[T], Row], workers: int) -> Iterator[
 
 
 def attempt(task: T, work: Callable[[T], Row]) -> Row:
-    """Do one task here and write its part; an exception becomes the row's reason of failure."""
+    """Do one task here and write its part; an exception, of the writing too, becomes the row's reason of failure."""
     try:
         row = work(task)
     except SpanwiseError as error:
         row = failure(task, str(error))
     except Exception as error:  # whatever it is: the other tasks are worked on
         row = failure(task, f"{type(error).__name__}: {error}")
-    write_part(task, row)
+    try:
+        write_part(task, row)
+    except OSError as error:
+        return failure(task, f"its part could not be written: {error.strerror}")
     return row
 
 
@@ -127,7 +130,8 @@ def _made(missing: deque[tuple[T, int]], work: Callable[[T], Row], count: int) -
                         missing.append((task, worker.tries + 1))
                         continue
                     row = failure(task, f"its worker ended ({worker.process.exitcode}), {_TRIES} times")
-                    write_part(task, row)
+                    with contextlib.suppress(OSError):  # a failure is tried again by a further run anyway
+                        write_part(task, row)
                 yield task, row
     finally:
         for worker in pool:

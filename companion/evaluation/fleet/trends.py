@@ -3,7 +3,9 @@
 Flights of an aircraft are compared in the order of their files' names. A drift is the change of the median from the
 first to the last third of them, whose flights scatter about either median by one amount (those between count for
 nothing: a step falls among them). A median's sigma is 1.25 times that of a mean, for the normal law. A drift is named
-where Student's t leaves it the chance of three sigmas, for all figures of an aircraft together.
+where Student's t leaves it the chance of three sigmas, for all figures of an aircraft together. A single flight leaves
+the median by three sigmas of its own and the median's together. A sensor without any noise is stuck: its noise counts
+for no median.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ _MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2); derive
 _DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode (choice)
 _SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples (choice)
 _NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn (choice)
+_STUCK_NOISE = 1e-9  # (m/s^2)/sqrt(Hz): below any accelerometer's; rounding leaves this of a constant value (choice)
 _EFFECT = "effect: "  # begins the column of an effect that a diagnosis named
 _LOSSES = {
     "cut": "cut off while recording",
@@ -49,8 +52,9 @@ class _Figure:
     """1 where only a rise is worse, -1 where only a fall is, 0 for both."""
 
     def values(self, flights: Rows) -> list[tuple[Mapping[str, Any], float]]:
-        """The flights that have it, each with its value."""
-        return [(row, float(row[self.column])) for row in flights if row.get(self.column) is not None]
+        """The flights that have it, each with its value; the noise of a stuck sensor is none."""
+        measured = [(row, float(row[self.column])) for row in flights if row.get(self.column) is not None]
+        return [(row, value) for row, value in measured if self not in _NOISES or value > _STUCK_NOISE]
 
     def matters(self, change: float, usual: float) -> bool:
         """Whether a change from the usual value is large enough, in the direction that is worse."""
@@ -77,16 +81,20 @@ _FIGURES = (*_MODES, *_DAMPINGS, *_SENSORS)
 
 def sentences(rows: Rows) -> list[str]:
     """Everything that is said of a fleet: what stands out, what files lack, and whose flights are unremarkable."""
-    return [*findings(rows), *losses(rows), *unremarkable(rows)]
+    said = findings(rows)
+    rest = [f"and {len(said) - _MOST} more"] if len(said) > _MOST else []
+    return [*said[:_MOST], *rest, *losses(rows), *unremarkable(rows)]
 
 
 def findings(rows: Rows) -> list[str]:
-    """All sentences: effects that recur, then drifts, then single flights; each kind's clearest first."""
+    """All sentences: effects that recur, stuck sensors, drifts, then single flights; each kind's clearest first."""
+    stuck: list[tuple[float, str]] = []
     drifts: list[tuple[float, str]] = []
     singles: list[tuple[float, str]] = []
     recurring: list[tuple[float, str]] = []
     for airframe, flights in _by_aircraft(rows).items():
         recurring += _recurring_effects(airframe, flights)
+        stuck += _stuck_sensors(airframe, flights)
         complete = [row for row in flights if not row.get("incomplete")]  # no sensor lost what a file lacks
         measured = {figure: complete if figure in _SENSORS else flights for figure in _FIGURES}
         tried = sum(len(figure.values(judged)) >= _THIRDS_FEWEST for figure, judged in measured.items())
@@ -96,8 +104,7 @@ def findings(rows: Rows) -> list[str]:
                 drifts.append(drift)
             else:
                 singles += _outliers(airframe, judged, figure)
-    texts = [text for kind in (recurring, drifts, singles) for _, text in sorted(kind, key=_clearest)]
-    return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
+    return [text for kind in (recurring, stuck, drifts, singles) for _, text in sorted(kind, key=_clearest)]
 
 
 def losses(rows: Rows) -> list[str]:
@@ -147,6 +154,16 @@ def _recurring_effects(airframe: str, flights: Rows) -> Iterator[tuple[float, st
             yield len(values), f"{airframe}: {what}, median {middle:.3g} ({low:.3g} to {high:.3g})"
 
 
+def _stuck_sensors(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
+    """Number of flights and sentence of each sensor that sent one value all the time."""
+    for place, figure in zip(_STATIONS, _NOISES, strict=True):
+        noises = [(row, row.get(figure.column)) for row in flights]
+        still = [row for row, noise in noises if noise is not None and noise <= _STUCK_NOISE]
+        if still:
+            where = f"in {len(still)} of {len(flights)} flights, first in {Path(still[0]['file']).name}"
+            yield len(still), f"{airframe}: {place} sensor is stuck: it has no noise at all {where}"
+
+
 def _drift(airframe: str, flights: Rows, figure: _Figure, tried: int) -> tuple[float, str] | None:
     """Clearness in sigmas and sentence of a change from the first to the last third, ``tried`` figures beside it."""
     values = np.array([value for _, value in figure.values(flights)])
@@ -162,7 +179,8 @@ def _drift(airframe: str, flights: Rows, figure: _Figure, tried: int) -> tuple[f
     sigmas = _SIGMAS * abs(last - first) / (sigma * float(student.isf(0.5 * _CHANCE / tried, freedom)))
     if sigmas < _SIGMAS or not figure.matters(last - first, first):
         return None
-    change = f"went from {first:.4g} to {last:.4g} {figure.unit} ({100 * (last / first - 1):+.1f} %)"
+    change = f"went from {first:.4g} to {last:.4g} {figure.unit}"
+    change += f" ({100 * (last / first - 1):+.1f} %)" if first else ""  # of nothing there is no percentage
     return sigmas, f"{airframe}: {figure.name} {change} between the first and the last third of {len(values)} flights"
 
 
@@ -172,9 +190,17 @@ def _outliers(airframe: str, flights: Rows, figure: _Figure) -> Iterator[tuple[f
     if len(measured) < _FEWEST:
         return
     usual = float(np.median([value for _, value in measured]))
-    for row, value in measured:
-        sigma = row.get(figure.sigma_column) if figure.sigma_column else figure.least_ratio * abs(usual) / _SIGMAS
-        sigmas = abs(value - usual) / max(float(sigma or 0.0), 1e-9)
+    sigmas_of_fits = [row.get(figure.sigma_column) for row, _ in measured]
+    if not figure.sigma_column:
+        sigmas_of_fits = [figure.least_ratio * abs(usual) / _SIGMAS] * len(measured)
+    stated = [float(sigma) for sigma in sigmas_of_fits if sigma is not None]
+    if not stated:
+        return
+    of_usual = _MEDIAN_SIGMA * float(np.median(stated)) / float(np.sqrt(len(stated))) if figure.sigma_column else 0.0
+    for (row, value), sigma in zip(measured, sigmas_of_fits, strict=True):
+        if sigma is None:
+            continue  # nothing says how well it is known
+        sigmas = abs(value - usual) / max(float(np.hypot(float(sigma), of_usual)), 1e-9)
         if sigmas > _SIGMAS and figure.matters(value - usual, usual):
             where = f"in {Path(row['file']).name}"
             yield sigmas, f"{airframe}: {figure.name} {value:.4g}, usually {usual:.4g} {figure.unit}, {where}"

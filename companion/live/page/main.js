@@ -30,7 +30,8 @@ function judgeRange({ trusted, matches, reject }) {
   $("range-now").classList.toggle("withheld", !trusted);
 }
 
-function showRange(range) {
+function showRange(range, sectors) {
+  if (!range.trusted) sectors.doubt(); // its own sectors, if it has any, come behind it
   state.range = range;
   ranges.add(range.t_host_ns / 1e9, { range_m: range.range_m, sigma_m: range.sigma_m, rigid_m: range.rigid_range_m, trusted: range.trusted });
   $("range-now").innerHTML = `${range.range_m.toFixed(2)} <small>\u00b1 ${range.sigma_m.toFixed(2)} m</small>`;
@@ -74,7 +75,7 @@ function showExposure({ t_host_ns, q_m, qdot_mps }, view) {
   view.shot(Math.atan2(-qdot_mps[0] / turn_radps, q_m[0] - state.slow_m[0]));
 }
 
-function charts(kind) {
+function charts(kind, sectors) {
   const near = (points) => {
     const sizes = points.map(({ range_m }) => range_m).sort((a, b) => a - b);
     return [0, sizes.length ? Math.max(10, 1.7 * sizes[Math.floor(sizes.length / 2)]) : 100];
@@ -101,6 +102,7 @@ function charts(kind) {
     if (state.first_s !== null && now_s > 0) $("time").textContent = duration(Math.max(0, now_s - state.first_s));
     $("shots").textContent = shots.fired + shots.skipped ? `${shots.fired} shots, ${shots.skipped} peaks skipped since this page opened.` : "No shot yet.";
     if (state.ended) return;
+    sectors.tend(true);
     const isFresh = performance.now() / 1e3 - state.heard_s < STALE_S;
     if (!isFresh && state.heard_s > 0) $("link").textContent = "nothing comes";
     else if (isFresh) $("link").textContent = kind;
@@ -173,11 +175,12 @@ async function start() {
   }, (sentence) => end(sentence, images));
   const seconds = (host_ns) => host_ns / 1e9 - (state.first_s ??= host_ns / 1e9);
   connection.on("/wing/mode", showMode);
-  connection.on("/range/corrected", showRange);
+  connection.on("/range/corrected", (range) => showRange(range, sectors));
   connection.on("/range/none", ({ reject }) => {
     if (state.ended) return;
     $("range-word").textContent = `none: ${reject}`;
     $("range-now").classList.add("withheld");
+    sectors.tend(false);
   });
   connection.on("/range/sectors", (record) => sectors.draw(record));
   connection.on("/trigger/plan", showPlan);
@@ -193,7 +196,7 @@ async function start() {
   for (const [severity, text, at_host_ns] of about.events) events.add(severity, text, seconds(at_host_ns));
   if (about.has_images) images = new ImageView(connection);
   else { document.querySelector("#images .pair").hidden = true; $("image-word").textContent = NO_IMAGES[about.kind]; }
-  setInterval(charts(about.kind), DRAW_MS);
+  setInterval(charts(about.kind, sectors), DRAW_MS);
   animate(wing, phase);
 }
 

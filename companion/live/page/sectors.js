@@ -1,9 +1,12 @@
 // The nearest obstacle in each sector, the aircraft's nose up.
 import { make } from "./chart.js";
 
-const RADIUS = 92, COUNT = 72, RINGS = 4;
+const RADIUS = 92, COUNT = 72, RINGS = 4, OLD_S = 2, OLD_WITHOUT_RANGE_S = 1;
 
 export class SectorView {
+  #drawn_s = null; // by this page's clock
+  #word = "";
+
   constructor(svg) {
     this.svg = svg;
     this.wedges = make("g", {}, svg);
@@ -14,9 +17,10 @@ export class SectorView {
 
   draw({ distance_m, known, clear, max_m }) {
     const wedges = document.createDocumentFragment();
-    let nearest_m = Infinity;
+    let nearest_m = Infinity, looked_at = 0;
     for (let i = 0; i < COUNT; i += 1) {
       if (!known[i] && !clear[i]) continue;
+      looked_at += 1;
       const share = clear[i] ? 1 : Math.min(1, distance_m[i] / max_m);
       if (known[i] && !clear[i]) nearest_m = Math.min(nearest_m, distance_m[i]);
       const [a, b] = [i - 0.5, i + 0.5].map((edge) => (edge * 2 * Math.PI) / COUNT);
@@ -27,10 +31,28 @@ export class SectorView {
         make("path", { d: `M${near.join("L")}L${far.join("L")}Z`, fill: "var(--vermillion)", "fill-opacity": 0.75 }, wedges);
       }
     }
-    document.getElementById("obstacles").hidden = false;
+    const card = document.getElementById("obstacles");
+    card.hidden = false;
+    card.classList.remove("old");
+    this.#drawn_s = performance.now() / 1e3;
     this.wedges.replaceChildren(wedges);
     this.labels.forEach((label, i) => { label.textContent = `${((max_m * (i + 1)) / 2).toFixed(0)} m`; });
-    document.getElementById("sectors-word").textContent = Number.isFinite(nearest_m) ? `nearest ${nearest_m.toFixed(1)} m` : "all clear";
+    const empty = looked_at ? `no obstacle in ${looked_at} sectors looked at` : "nothing known";
+    this.#word = Number.isFinite(nearest_m) ? `nearest ${nearest_m.toFixed(1)} m` : empty;
+    document.getElementById("sectors-word").textContent = this.#word;
+  }
+
+  // What is drawn was so once: the pair after it had no sectors, or none came for long.
+  doubt() {
+    if (this.#drawn_s === null) return;
+    document.getElementById("obstacles").classList.add("old");
+    document.getElementById("sectors-word").textContent = `not known any more; last: ${this.#word}`;
+  }
+
+  // Without a range less patience: a scene that is too far for one has sectors with each pair.
+  tend(has_range) {
+    const age_s = this.#drawn_s === null ? 0 : performance.now() / 1e3 - this.#drawn_s;
+    if (age_s > (has_range ? OLD_S : OLD_WITHOUT_RANGE_S)) this.doubt();
   }
 }
 
