@@ -14,6 +14,7 @@ from companion.core.silence import Complaints, RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.exposure_feedback import ExposureFeedback
+from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.wing.effects import apply_to_airframe
 from companion.core.wing.sample_corrections import SampleCorrections
@@ -69,15 +70,17 @@ def start(
         if hub is not None:
             clocks.identity(hub)
     has_cameras = airframe.left_camera is not None and airframe.right_camera is not None
+    scheduling = Scheduling.create(airframe, settings) if has_cameras else None
+    latency = LatencyModel(airframe) if scheduling is None else scheduling.latency
     return PipelineState(
         airframe=airframe,
         settings=settings,
         clocks=clocks,
         tracker=WingTracker(airframe, settings),
-        scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
+        scheduling=scheduling,
         correction=Correction.create(airframe, settings) if has_cameras else None,
         output_scheduler=OutputScheduler(airframe.orientation),
-        feedback=ExposureFeedback(airframe, clocks),
+        feedback=ExposureFeedback(airframe, clocks, latency),
         corrections=corrections,
         hub=hub,
     )
