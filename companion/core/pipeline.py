@@ -142,11 +142,14 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Clock exchanges from the motion of nodes that answer no TIMESYNC."""
     said: list[OutputRecord] = []
-    for exchange in state.unsynced_nodes.exchanges(now_ns):
-        before = state.clocks.state(exchange.clock).synced
+    for exchange in state.unsynced_nodes.exchanges(now_ns, state.clocks):
+        clock, restarts = exchange.clock, state.clocks.restarts(exchange.clock)
+        before = clock in state.unsynced_nodes.aligned and state.clocks.state(clock).synced
         after = state.clocks.exchange(exchange)
+        if state.clocks.restarts(clock) != restarts:
+            state.tracker.clock_restarted(_tips_on_clock(state.airframe, clock))
         if after.synced and not before:
-            said += [after, *_adopt_alignment(state, exchange.clock, now_ns)]
+            said += [after, *_adopt_alignment(state, clock, now_ns)]
     return said
 
 
