@@ -124,3 +124,33 @@ def test_a_node_that_falls_silent_for_good_is_aligned_once_its_clock_is_no_longe
     assert np.isfinite(flown.since(100.0)[0]).all()
     assert NODE in flown.state.unsynced_nodes.aligned
     assert sum("aligned by motion" in text for text in flown.notices) == 1
+
+
+DELAYS_MS: dict[str, Delay] = {
+    "rises by 50": lambda t_s: 10.0 + 50.0 * (t_s >= 30.0),
+    "rises by 80": lambda t_s: 10.0 + 80.0 * (t_s >= 30.0),
+    "rises at once": lambda t_s: 10.0 + 50.0 * (t_s >= 14.0),
+    "rises slowly": lambda t_s: 10.0 + 2.5 * min(max(t_s - 25.0, 0.0), 20.0),
+    "falls": lambda t_s: 55.0 - 45.0 * (t_s >= 30.0),
+}
+
+
+@pytest.mark.parametrize("name", DELAYS_MS)
+def test_a_link_that_becomes_slower_or_quicker_moves_no_stamp_beyond_its_bound(name: str) -> None:
+    """Samples of a slower link were stamped late by what it had become slower, with a bound of some 3 ms."""
+    flown = fly(58.0, DELAYS_MS[name], np.zeros(0))
+    error, bound = flown.since(0.0)
+    joined = np.isfinite(error)
+    assert (error[joined] <= bound[joined]).all()
+    assert np.isfinite(flown.since(26.0)[0]).all(), "nor is a sample refused"
+    assert flown.state.clocks.restarts(NODE) == 0
+
+
+def test_a_link_too_slow_for_an_alignment_does_not_spoil_what_is_known() -> None:
+    """Half a minute after it has become slow nothing tells how old a sample is: the clock is used while it is good."""
+    flown = fly(85.0, DELAYS_MS["rises by 80"], np.zeros(0))
+    error, bound = flown.since(0.0)
+    joined = np.isfinite(error)
+    assert (error[joined] <= bound[joined]).all()
+    assert not joined[-100:].any()
+    assert flown.state.clocks.restarts(NODE) == 0

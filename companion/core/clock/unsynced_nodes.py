@@ -55,7 +55,8 @@ class UnsyncedNodes:
     def exchanges(self, now_host_ns: int, clocks: ClockBank) -> Iterator[TimesyncReply]:
         """Alignments of all unsynced nodes due by now, as exchanges; ``clocks`` is only read."""
         for clock, alignment in self._alignments.items():
-            if clock in self.aligned or not clocks.state(clock, now_host_ns).synced:
-                for exchange in alignment.exchanges(now_host_ns):
+            state = clocks.state(clock, now_host_ns)
+            if clock in self.aligned or not state.synced:
+                for exchange in alignment.exchanges(now_host_ns, state):
                     yield exchange
                     self.aligned.add(clock)  # not sooner: the first one's taker asks whether there was one before
