@@ -266,7 +266,7 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
         if not state.counters[_BY_PIN]:
             said.append(Notice(Severity.INFO, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
         state.counters[_BY_PIN] += by_pin
-    stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
+    stamps = state.scheduling.exposed(matches, sigma_s) if state.scheduling is not None else None
     return [*said, *state.correction.add(matches, stamps, sigma_s)]
 
 

@@ -159,7 +159,7 @@ def test_exposures_that_come_after_the_next_command_get_their_own_edges(
         clock = ClockName.HOST if own_clock else ClockName.CAM_LEFT
         stamped = feedback.stamped(pair(seen_number, left_ns, right_ns, clock))
         by_pin += stamped.by_pin
-        verdict = scheduling.exposed(stamped.matches)
+        verdict = scheduling.exposed(stamped.matches, stamped.sigma_s)
         if seen_number % 10 != 5:
             assert stamped.by_pin == 2
             assert np.abs(stamped.matches.mid_exposure_ns - true_ns[seen_number]).max() <= ROUND_TRIP_NS
