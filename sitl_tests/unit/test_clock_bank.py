@@ -182,7 +182,7 @@ def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
     Judged is every instant at which the clock runs. What is read of a standing clock is a false bound; one that is
     false by less than the others can tell slips through, so 99.9 % is for clocks that run (the tests above).
     """
-    inside, bounds, late = [], [], 0
+    inside, bounds, late, restarts = [], [], 0, 0
     for seed in range(12):
         link, bank = Link(seed, skew_ppm=0, jitter_ns=2e6, loss=0.0), ClockBank()
         steady = _standing(link, np.random.default_rng(seed + 500))
@@ -195,6 +195,8 @@ def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
             if not isinstance(answer, Reject):
                 inside.append(abs(int(answer[0][0]) - sent) <= answer[1])
                 bounds.append(answer[1])
+        restarts += bank.restarts(NODE)
+    assert restarts == 0
     assert late > 12
     assert len(inside) > 12 * 550
     assert np.mean(inside) >= 0.98
@@ -232,6 +234,31 @@ def test_a_clock_that_falls_behind_for_a_moment_has_not_restarted(begins_s: floa
     assert len(inside) > 6 * 570
     assert np.mean(inside) >= 0.999
     assert np.median(bounds) < 0.5 * MS + 0.3 * MS
+
+
+@pytest.mark.parametrize("step_ms", [-10, -5, 5, 10])
+def test_a_clock_that_is_set_is_not_believed_because_loose_exchanges_agree_with_it(step_ms: int) -> None:
+    """On a link of 5 ms most exchanges agree with the clock before the step and after; they cleared the suspicion."""
+    beyond_s, refused_s = [], []
+    for seed in range(8):
+        link, bank = Link(seed, skew_ppm=20, jitter_ns=9.4e6, loss=0.0), ClockBank()
+        steady, at_ns = link.remote, link.start_ns + 20 * S
+
+        def remote(host_ns: int, steady=steady, at_ns=at_ns) -> int:
+            return steady(host_ns) + step_ms * MS * (host_ns >= at_ns)
+
+        link.remote = remote  # type: ignore[method-assign]
+        errors = []
+        for sent_ns in range(link.start_ns, link.start_ns + 60 * S, 100 * MS):
+            bank.exchange(link.exchange(sent_ns))
+            answer = bank.to_host(NODE, np.array([link.remote(sent_ns)]))
+            errors.append(None if isinstance(answer, Reject) else abs(int(answer[0][0]) - sent_ns) - answer[1])
+        since = errors[201:]
+        beyond_s.append(0.1 * sum(error is not None and error > 2_000 for error in since))
+        refused_s.append(0.1 * sum(error is None for error in since))
+        assert bank.restarts(NODE) == 1
+    assert np.mean(beyond_s) < 2.0
+    assert max(refused_s) < 8.0
 
 
 def _standing(link: Link, rng: np.random.Generator) -> Callable[[int], int]:
