@@ -160,6 +160,17 @@ def test_skew_is_found() -> None:
         assert bank.state(NODE).skew_ppm == pytest.approx(skew_ppm, abs=15)
 
 
+def test_a_clock_syncs_before_the_hosts_own_zero() -> None:
+    """As of a recording whose times are relative to its middle."""
+    bank, link = ClockBank(), Link(8, jitter_ns=1e6)
+    link.start_ns = -100 * S
+    flight = fly(bank, link, duration_s=20)
+    assert flight.locked_after_s < 3.0
+    assert np.all(np.array(flight.error_ns) <= np.array(flight.bound_ns))
+    assert np.median(flight.bound_ns) < MS
+    assert bank.restart(ClockRestart(NODE, link.start_ns + 21 * S)).at_host_ns == link.start_ns + 21 * S
+
+
 def test_a_clock_that_advances_in_steps_still_has_an_honest_bound() -> None:
     """A simulated autopilot's clock moves by whole physics frames; here 0.833 ms on a link of 0.1 ms."""
     link, bank = Link(7, skew_ppm=0), ClockBank()

@@ -74,17 +74,17 @@ class RemoteClockEstimator:
 
     def restart(self, at_host_ns: int) -> ClockState:
         """Forget everything: the clock's owner has restarted."""
+        self._last_host_ns = self._latest_ns(at_host_ns)
         self._forget()
         self.restarts += 1
-        self._last_host_ns = max(self._last_host_ns, at_host_ns)
         return self.state()
 
     def exchange(self, reply: TimesyncReply) -> ClockState:
         """Take one exchange."""
         if not 0 <= reply.received_host_ns - reply.sent_host_ns <= MOST_ROUND_TRIP_NS:
             self.discarded += 1
-            return self.state(None if self._last_host_ns else reply.received_host_ns)
-        self._last_host_ns = max(self._last_host_ns, reply.received_host_ns)
+            return self.state(reply.received_host_ns if self._window is None else None)
+        self._last_host_ns = self._latest_ns(reply.received_host_ns)
         if self._window is None:
             self._window = ExchangeWindow(reply, self._before.skews)
             return self.state()
@@ -150,6 +150,9 @@ class RemoteClockEstimator:
     def _in_time(self, host_ns: int, bound_ns: int) -> bool:
         """Whether the last exchange is recent, or the bound, which grows with time, is still small."""
         return host_ns <= self._last_host_ns + STALE_NS or bound_ns <= _GOOD_BOUND_NS
+
+    def _latest_ns(self, host_ns: int) -> int:
+        return host_ns if self._window is None else max(self._last_host_ns, host_ns)
 
     def _forget(self) -> None:
         if self._mapping:

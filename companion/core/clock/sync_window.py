@@ -102,7 +102,7 @@ class ExchangeWindow:
         self._skews = skews
         self._aside = 0  # exchanges in a row, and since when
         self._aside_ns = 0
-        self._lagged_until = -1
+        self._lagged_until = first.received_host_ns // _BUCKET_NS - 1
         self._careful_until_ns = first.received_host_ns + _CAREFUL_NS
         self.add(first)
 
