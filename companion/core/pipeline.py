@@ -210,10 +210,12 @@ def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
 
 
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
-    if state.vehicle is not None and state.vehicle.on_ground and vehicle.on_ground is False:
+    if state.on_ground and vehicle.on_ground is False:
         state.tracker.lifted_off()
         state.airborne_ns = vehicle.received_host_ns + _LIFT_OFF_NS
     state.vehicle = vehicle
+    if vehicle.on_ground is not None:
+        state.on_ground = vehicle.on_ground
     if state.correction is not None:
         state.correction.vehicle.add(vehicle)
     return []

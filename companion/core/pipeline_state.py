@@ -46,6 +46,7 @@ class PipelineState:
     complaints: Complaints = field(default_factory=Complaints)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
+    on_ground: bool = False  # as the autopilot said last, whatever it has left open since
     counters: Counter[str] = field(default_factory=Counter)
     waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
     next_track_ns: int = 0
