@@ -142,11 +142,14 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Clock exchanges from the motion of nodes that answer no TIMESYNC."""
     said: list[OutputRecord] = []
-    for exchange in state.unsynced_nodes.exchanges(now_ns):
-        before = state.clocks.state(exchange.clock).synced
+    for exchange in state.unsynced_nodes.exchanges(now_ns, state.clocks):
+        clock, restarts = exchange.clock, state.clocks.restarts(exchange.clock)
+        before = clock in state.unsynced_nodes.aligned and state.clocks.state(clock).synced
         after = state.clocks.exchange(exchange)
+        if state.clocks.restarts(clock) != restarts:
+            state.tracker.clock_restarted(_tips_on_clock(state.airframe, clock))
         if after.synced and not before:
-            said += [after, *_adopt_alignment(state, exchange.clock, now_ns)]
+            said += [after, *_adopt_alignment(state, clock, now_ns)]
     return said
 
 
@@ -207,10 +210,12 @@ def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
 
 
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
-    if state.vehicle is not None and state.vehicle.on_ground and vehicle.on_ground is False:
+    if state.on_ground and vehicle.on_ground is False:
         state.tracker.lifted_off()
         state.airborne_ns = vehicle.received_host_ns + _LIFT_OFF_NS
     state.vehicle = vehicle
+    if vehicle.on_ground is not None:
+        state.on_ground = vehicle.on_ground
     if state.correction is not None:
         state.correction.vehicle.add(vehicle)
     return []
@@ -263,7 +268,7 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
         if not state.counters[_BY_PIN]:
             said.append(Notice(Severity.INFO, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
         state.counters[_BY_PIN] += by_pin
-    stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
+    stamps = state.scheduling.exposed(matches, sigma_s) if state.scheduling is not None else None
     return [*said, *state.correction.add(matches, stamps, sigma_s)]
 
 

@@ -14,6 +14,7 @@ from companion.core.silence import Complaints, RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.exposure_feedback import ExposureFeedback
+from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.wing.effects import apply_to_airframe
 from companion.core.wing.sample_corrections import SampleCorrections
@@ -45,6 +46,7 @@ class PipelineState:
     complaints: Complaints = field(default_factory=Complaints)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
+    on_ground: bool = False  # as the autopilot said last, whatever it has left open since
     counters: Counter[str] = field(default_factory=Counter)
     waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
     next_track_ns: int = 0
@@ -69,15 +71,17 @@ def start(
         if hub is not None:
             clocks.identity(hub)
     has_cameras = airframe.left_camera is not None and airframe.right_camera is not None
+    scheduling = Scheduling.create(airframe, settings) if has_cameras else None
+    latency = LatencyModel(airframe) if scheduling is None else scheduling.latency
     return PipelineState(
         airframe=airframe,
         settings=settings,
         clocks=clocks,
         tracker=WingTracker(airframe, settings),
-        scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
+        scheduling=scheduling,
         correction=Correction.create(airframe, settings) if has_cameras else None,
         output_scheduler=OutputScheduler(airframe.orientation),
-        feedback=ExposureFeedback(airframe, clocks),
+        feedback=ExposureFeedback(airframe, clocks, latency),
         corrections=corrections,
         hub=hub,
     )

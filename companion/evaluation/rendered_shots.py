@@ -105,9 +105,7 @@ class ShotRenderer:
             right = self._right_image()
         if left is None or right is None:
             return []
-        vision = dataclasses.replace(
-            self._vision, pairer=FramePairer(next_id=request.shot), numbers={}, earlier=earlier
-        )
+        vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=request.shot), newest={}, earlier=earlier)
         self._last = left
         said: ShotRecords = [FramePair(request.shot, left, right)] if request.is_shown else []
         for frame in (left, right):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from companion.core import pipeline
+from companion.core.clock.bank import ClockBank
 from companion.core.clock.motion_alignment import (
     LARGEST_SIGMA_S,
     SIGMAS,
@@ -95,10 +96,11 @@ def test_the_delay_of_a_low_pass_is_that_of_its_slope_at_zero() -> None:
 def test_arrivals_alone_bound_the_clock_by_the_longest_delay() -> None:
     alignment = MotionAlignment(NODE)
     alignment.add_node(ImuBatch(Station.LEFT, NODE, np.array([5_000_000_000]), np.zeros((1, 6)), 63, 9_000_000_000))  # type: ignore[arg-type]
-    (exchange,) = alignment.exchanges(9_000_000_000)
+    unknown = ClockBank().state(NODE)
+    (exchange,) = alignment.exchanges(9_000_000_000, unknown)
     # the sample was taken 0 to 60 ms before it arrived: so 60 ms less was read 0 to 120 ms before
     assert exchange == TimesyncReply(NODE, 9_000_000_000 - 120_000_000, 5_000_000_000 - 60_000_000, 9_000_000_000)
-    assert list(alignment.exchanges(9_100_000_000)) == []
+    assert list(alignment.exchanges(9_100_000_000, unknown)) == []
 
 
 # ------------------------------------------------------------------------------------------ heave instead of rates

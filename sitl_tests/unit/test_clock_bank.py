@@ -160,6 +160,17 @@ def test_skew_is_found() -> None:
         assert bank.state(NODE).skew_ppm == pytest.approx(skew_ppm, abs=15)
 
 
+def test_a_clock_syncs_before_the_hosts_own_zero() -> None:
+    """As of a recording whose times are relative to its middle."""
+    bank, link = ClockBank(), Link(8, jitter_ns=1e6)
+    link.start_ns = -100 * S
+    flight = fly(bank, link, duration_s=20)
+    assert flight.locked_after_s < 3.0
+    assert np.all(np.array(flight.error_ns) <= np.array(flight.bound_ns))
+    assert np.median(flight.bound_ns) < MS
+    assert bank.restart(ClockRestart(NODE, link.start_ns + 21 * S)).at_host_ns == link.start_ns + 21 * S
+
+
 def test_a_clock_that_advances_in_steps_still_has_an_honest_bound() -> None:
     """A simulated autopilot's clock moves by whole physics frames; here 0.833 ms on a link of 0.1 ms."""
     link, bank = Link(7, skew_ppm=0), ClockBank()
@@ -182,7 +193,7 @@ def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
     Judged is every instant at which the clock runs. What is read of a standing clock is a false bound; one that is
     false by less than the others can tell slips through, so 99.9 % is for clocks that run (the tests above).
     """
-    inside, bounds, late = [], [], 0
+    inside, bounds, late, restarts = [], [], 0, 0
     for seed in range(12):
         link, bank = Link(seed, skew_ppm=0, jitter_ns=2e6, loss=0.0), ClockBank()
         steady = _standing(link, np.random.default_rng(seed + 500))
@@ -195,6 +206,8 @@ def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
             if not isinstance(answer, Reject):
                 inside.append(abs(int(answer[0][0]) - sent) <= answer[1])
                 bounds.append(answer[1])
+        restarts += bank.restarts(NODE)
+    assert restarts == 0
     assert late > 12
     assert len(inside) > 12 * 550
     assert np.mean(inside) >= 0.98
@@ -232,6 +245,31 @@ def test_a_clock_that_falls_behind_for_a_moment_has_not_restarted(begins_s: floa
     assert len(inside) > 6 * 570
     assert np.mean(inside) >= 0.999
     assert np.median(bounds) < 0.5 * MS + 0.3 * MS
+
+
+@pytest.mark.parametrize("step_ms", [-10, -5, 5, 10])
+def test_a_clock_that_is_set_is_not_believed_because_loose_exchanges_agree_with_it(step_ms: int) -> None:
+    """On a link of 5 ms most exchanges agree with the clock before the step and after; they cleared the suspicion."""
+    beyond_s, refused_s = [], []
+    for seed in range(8):
+        link, bank = Link(seed, skew_ppm=20, jitter_ns=9.4e6, loss=0.0), ClockBank()
+        steady, at_ns = link.remote, link.start_ns + 20 * S
+
+        def remote(host_ns: int, steady=steady, at_ns=at_ns) -> int:
+            return steady(host_ns) + step_ms * MS * (host_ns >= at_ns)
+
+        link.remote = remote  # type: ignore[method-assign]
+        errors = []
+        for sent_ns in range(link.start_ns, link.start_ns + 60 * S, 100 * MS):
+            bank.exchange(link.exchange(sent_ns))
+            answer = bank.to_host(NODE, np.array([link.remote(sent_ns)]))
+            errors.append(None if isinstance(answer, Reject) else abs(int(answer[0][0]) - sent_ns) - answer[1])
+        since = errors[201:]
+        beyond_s.append(0.1 * sum(error is not None and error > 2_000 for error in since))
+        refused_s.append(0.1 * sum(error is None for error in since))
+        assert bank.restarts(NODE) == 1
+    assert np.mean(beyond_s) < 2.0
+    assert max(refused_s) < 8.0
 
 
 def _standing(link: Link, rng: np.random.Generator) -> Callable[[int], int]:

@@ -303,7 +303,15 @@ def test_ticks_alone_say_that_samples_are_awaited() -> None:
 
 @pytest.mark.parametrize(
     ("reported", "starts"),
-    [((True, False), 1), ((True, True, False, False), 1), ((None, False), 0), ((False, True), 0), ((True, None), 0)],
+    [
+        ((True, False), 1),
+        ((True, True, False, False), 1),
+        ((True, None, None, False), 1),
+        ((None, False), 0),
+        ((False, True), 0),
+        ((True, None), 0),
+        ((True, False, None, False), 1),
+    ],
 )
 def test_the_tracker_starts_again_when_the_autopilot_says_that_it_lifted_off(
     reported: tuple[bool | None, ...], starts: int, monkeypatch: pytest.MonkeyPatch

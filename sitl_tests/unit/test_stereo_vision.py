@@ -139,6 +139,8 @@ def test_a_gap_in_the_numbers_of_one_camera_is_told_with_how_many_images_it_lack
     assert losses(Side.LEFT, 8) == []
     assert losses(Side.RIGHT, 11) == []
     assert losses(Side.LEFT, 12) == [("left frames", 3)]
+    assert losses(Side.LEFT, 11) == []  # a late one
+    assert losses(Side.LEFT, 13) == []
     assert losses(Side.LEFT, 2) == []  # a camera that begins anew
     assert losses(Side.LEFT, 4) == [("left frames", 1)]
 

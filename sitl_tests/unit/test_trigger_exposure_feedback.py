@@ -11,7 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.core.clock.bank import ClockBank
 from companion.core.pipeline import start, step
 from companion.core.trigger.exposure_feedback import WRAP_NS, ExposureFeedback
-from companion.params.airframe import Airframe
+from companion.core.trigger.latency import LatencyModel
+from companion.core.trigger.scheduling import Scheduling
+from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -70,8 +72,13 @@ def pair(plan_id: int, left_ns: int, right_ns: int, clock: ClockName = ClockName
     return MatchSet(1, plan_id, (clock, clock), stamps, EXPOSURE_NS, 0, empty, empty, np.zeros(0), right_ns + 60 * MS)
 
 
+def exposure_feedback(stamp_sigma_s: float, bank: ClockBank) -> ExposureFeedback:
+    believed = airframe(stamp_sigma_s)
+    return ExposureFeedback(believed, bank, LatencyModel(believed))
+
+
 def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedback:
-    feedback = ExposureFeedback(airframe(stamp_sigma_s), clock_bank())
+    feedback = exposure_feedback(stamp_sigma_s, clock_bank())
     feedback.shot(Shot(7, at_ns, at_ns))
     assert feedback.edge(edge(0, at_ns + 9 * MS)) is None
     assert feedback.edge(edge(1, at_ns + 10 * MS)) is None
@@ -81,7 +88,7 @@ def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedb
 @pytest.mark.parametrize("after_s", [3.0, 19.0])  # before and after the 32 bits begin again
 def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: float) -> None:
     at_ns = START_NS + round(after_s * S)
-    camera_pair = pair(7, at_ns + 30 * MS, at_ns + 31 * MS)
+    camera_pair = pair(7, at_ns + 18 * MS, at_ns + 19 * MS)
     stamped, by_pin, sigma_s = fired(0.003, at_ns).stamped(camera_pair)
     assert by_pin == 2
     assert 5e-5 < sigma_s < 1e-9 * ROUND_TRIP_NS, "the stamps are as good as the pin's"
@@ -114,11 +121,70 @@ def test_each_picture_gets_its_own_edge() -> None:
     assert feedback.stamped(pair(-1, at_ns + 150 * MS, at_ns + 150 * MS))[1] == 0
 
 
+def late_airframe(stamp_sigma_s: float, believed_s: float) -> Airframe:
+    base = airframe(stamp_sigma_s)
+    assert base.left_camera is not None
+    assert base.right_camera is not None
+    latency = Uncertain(believed_s, 0.004)
+    left, right = (dataclasses.replace(each, latency_s=latency) for each in (base.left_camera, base.right_camera))
+    return dataclasses.replace(base, left_camera=left, right_camera=right)
+
+
+@pytest.mark.parametrize("own_clock", [True, False])
+@pytest.mark.parametrize("prior_error_ms", [-4, 4])
+@pytest.mark.parametrize(("latency_ms", "interval_ms"), [(60, 50), (120, 100), (9, 100)])
+def test_exposures_that_come_after_the_next_command_get_their_own_edges(
+    latency_ms: int, interval_ms: int, prior_error_ms: int, own_clock: bool
+) -> None:
+    """They got the edge of the shot before, one interval early; own stamps are of the host's clock, or of none known.
+
+    Every tenth shot has no edge.
+    """
+    believed = late_airframe(0.003, 1e-3 * (latency_ms + prior_error_ms))
+    scheduling, random = Scheduling.create(believed, Settings()), np.random.default_rng(5)
+    feedback = ExposureFeedback(believed, clock_bank(), scheduling.latency)
+    true_ns, by_pin = {}, 0
+    for number in range(84):
+        fired_ns = START_NS + 12 * S + number * interval_ms * MS
+        feedback.shot(Shot(number, fired_ns, fired_ns))
+        scheduling.fired(Shot(number, fired_ns, fired_ns))
+        true_ns[number] = fired_ns + latency_ms * MS + EXPOSURE_NS // 2
+        if number < 3:
+            continue
+        seen_number = number - 3
+        edges = [edge(camera, true_ns[seen_number] - EXPOSURE_NS // 2) for camera in (0, 1)]
+        if seen_number % 10 != 5:
+            assert [feedback.edge(each) for each in edges] == [None, None]
+        left_ns, right_ns = true_ns[seen_number] + (2e6 * random.standard_normal(2)).astype(np.int64)
+        clock = ClockName.HOST if own_clock else ClockName.CAM_LEFT
+        stamped = feedback.stamped(pair(seen_number, left_ns, right_ns, clock))
+        by_pin += stamped.by_pin
+        verdict = scheduling.exposed(stamped.matches, stamped.sigma_s)
+        if seen_number % 10 != 5:
+            assert stamped.by_pin == 2
+            assert np.abs(stamped.matches.mid_exposure_ns - true_ns[seen_number]).max() <= ROUND_TRIP_NS
+            assert verdict is None
+    assert by_pin == 2 * 73
+
+
+def test_an_edge_far_from_the_cameras_own_stamp_is_of_another_exposure() -> None:
+    """A latency that nobody believed: the stamp, good to 3 ms, tells that the edge 50 ms before it is another's."""
+    believed, at_ns = late_airframe(0.003, 0.009), START_NS + 19 * S
+    feedback = ExposureFeedback(believed, clock_bank(), LatencyModel(believed))
+    for number in range(3):
+        fired_ns = at_ns + number * 50 * MS
+        feedback.shot(Shot(number, fired_ns, fired_ns))
+        assert feedback.edge(edge(0, fired_ns + 60 * MS)) is None
+    stamp_ns = at_ns + 50 * MS + 61 * MS
+    camera_pair = pair(1, stamp_ns, stamp_ns)
+    assert feedback.stamped(camera_pair) == (camera_pair, 0, 0.003)
+
+
 def test_an_edge_without_a_known_clock_of_long_ago_or_of_a_third_camera_is_refused_by_its_reason() -> None:
     at_ns = START_NS + 19 * S
-    assert ExposureFeedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns)) is Reject.CLOCK_UNSYNCED
+    assert exposure_feedback(0.003, ClockBank()).edge(edge(0, at_ns)) is Reject.CLOCK_UNSYNCED
     late = dataclasses.replace(edge(0, at_ns - 3 * S), received_host_ns=at_ns)
-    synced = ExposureFeedback(airframe(0.003), clock_bank())
+    synced = exposure_feedback(0.003, clock_bank())
     assert synced.edge(late) is Reject.OUT_OF_WINDOW
     assert synced.edge(dataclasses.replace(edge(0, at_ns), camera=2)) is Reject.FOREIGN_SOURCE
 
@@ -127,7 +193,7 @@ def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_
     state, at_ns = start(airframe(0.003), Settings()), START_NS + 19 * S
     said = []
     inputs: list[Record] = [*exchanges(20.0), Shot(7, at_ns, at_ns), edge(0, at_ns + 9 * MS), edge(1, at_ns + 9 * MS)]
-    for record in [*inputs, pair(7, at_ns + 40 * MS, at_ns + 40 * MS)]:
+    for record in [*inputs, pair(7, at_ns + 20 * MS, at_ns + 20 * MS)]:
         state, outputs = step(state, record)
         said += outputs
     assert state.counters["exposures stamped by the autopilot"] == 2

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
 from companion.core.trigger.latency import LatencyModel
-from companion.params.airframe import Airframe
+from companion.core.trigger.scheduling import Scheduling
+from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
-from companion.records import Reject, Shot, Side
+from companion.params.settings import Settings
+from companion.records import ClockName, MatchSet, Reject, Shot, Side
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -117,3 +120,34 @@ def test_a_frame_that_no_shot_explains_is_unpaired(airframe: Airframe) -> None:
     assert model.exposure(Side.LEFT, 3, 3 * S) is Reject.UNPAIRED
     assert model.unpaired == 3
     assert model.estimate(Side.LEFT).count == 0
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_coarse_stamps_of_a_short_latency_are_learned_without_bias(airframe: Airframe, named: bool) -> None:
+    """Stamps of 3 ms, 0.7 ms after the command: four of ten are before it, and the others alone are 2.5 ms late."""
+    assert airframe.left_camera is not None
+    assert airframe.right_camera is not None
+    coarse: dict[str, Any] = {"latency_s": Uncertain(0.0002, 0.001), "exposure_s": 0.001, "stamp_sigma_s": 0.003}
+    left, right = (dataclasses.replace(each, **coarse) for each in (airframe.left_camera, airframe.right_camera))
+    scheduling = Scheduling.create(dataclasses.replace(airframe, left_camera=left, right_camera=right), Settings())
+    random, empty = np.random.default_rng(4), np.zeros((0, 2))
+    verdicts, biases_ns = [], []
+    for number in range(1000):
+        fired_ns = S + number * 100 * MS
+        scheduling.fired(Shot(number, fired_ns, fired_ns))
+        stamps_ns = fired_ns + np.round(0.7e6 + 3e6 * random.standard_normal(2)).astype(np.int64)
+        clocks, plan_id = (ClockName.HOST, ClockName.HOST), number if named else -1
+        pair = MatchSet(number, plan_id, clocks, stamps_ns, MS, 0, empty, empty, np.zeros(0), fired_ns + 60 * MS)
+        verdicts.append(scheduling.exposed(pair, 0.003))
+        biases_ns += [scheduling.latency.estimate(side).bias_ns for side in Side]
+    assert sum(verdict is not None for verdict in verdicts) < 10
+    assert np.mean(biases_ns[200:]) == pytest.approx(0.7e6, abs=0.3e6)
+    assert scheduling.latency.unpaired == 0
+
+
+def test_a_stamp_before_its_command_by_more_than_it_errs_is_unpaired(airframe: Airframe) -> None:
+    model = LatencyModel(airframe)
+    model.shot(Shot(3, S, S))
+    assert model.exposure(Side.LEFT, 3, S - 10 * MS, 0.001) is Reject.UNPAIRED
+    assert model.exposure(Side.LEFT, -1, S - 10 * MS, 0.001) is Reject.UNPAIRED
+    assert model.exposure(Side.LEFT, 3, S - 5 * MS, 0.001) is not Reject.UNPAIRED

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.params.airframe import Sensor
-from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, TimesyncReply
+from companion.records import Axis, ClockName, ClockState, Floats, ImuBatch, Ints, TimesyncReply
 
 MOST_DELAY_NS = 60_000_000
 """Longest time from a sample to its arrival; a slower link cannot be aligned (choice)."""
@@ -126,22 +126,33 @@ class MotionAlignment:
         """Add samples of the autopilot's IMU, in host time."""
         self._root.add(batch.t_ns, batch.values, batch.received_host_ns)
 
-    def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
-        """Alignments due by now, as exchanges."""
+    def exchanges(self, now_host_ns: int, state: ClockState) -> Iterator[TimesyncReply]:
+        """Alignments due by now, as exchanges; ``state`` is what is known of the node's clock."""
         if now_host_ns >= self._next_coarse_ns and self._arrivals:
             self._next_coarse_ns = now_host_ns + round(_COARSE_S * 1e9)
-            stamp_ns, received_ns = self._arrivals[-1]
-            # The sample is not newer than its arrival. The exchange is as wide to both sides all the same: a one-sided
-            # one would pull the estimate away from the lag.
-            early_ns = stamp_ns - MOST_DELAY_NS
-            yield TimesyncReply(self.clock, received_ns - 2 * MOST_DELAY_NS, early_ns, received_ns)
+            yield from self._arrived(state)
         if now_host_ns >= self._next_fine_ns and self._node.stamps and self._root.stamps:
             self._next_fine_ns = now_host_ns + round(_EVERY_S * 1e9)
-            yield from self._aligned()
+            yield from self._aligned(1e-6 * state.skew_ppm)
 
-    def _aligned(self) -> Iterator[TimesyncReply]:
-        # the quickest arrival: its sample is older than it by the least delay there is
-        base_ns = min(received - stamp for stamp, received in self._arrivals)
+    def _arrived(self, state: ClockState) -> Iterator[TimesyncReply]:
+        """Exchange by the newest arrival; none on a slow link, where what is known of the clock contradicts it."""
+        stamp_ns, received_ns = self._arrivals[-1]
+        slower_ns = received_ns - stamp_ns - self._base_ns()
+        most_ns = MOST_DELAY_NS + slower_ns
+        age_ns = received_ns + state.offset_ns - stamp_ns
+        if state.bound_ns < most_ns < abs(age_ns) + state.bound_ns:
+            return
+        # The sample is not newer than its arrival. The exchange is as wide to both sides all the same: a one-sided one
+        # would pull the estimate away from the lag.
+        yield TimesyncReply(self.clock, received_ns - 2 * most_ns, stamp_ns - most_ns, received_ns)
+
+    def _base_ns(self) -> int:
+        """Arrival minus stamp of the quickest arrival: its sample is older than it by the least delay there is."""
+        return min(received - stamp for stamp, received in self._arrivals)
+
+    def _aligned(self, skew: float) -> Iterator[TimesyncReply]:
+        base_ns = self._base_ns()
         (node_ns, node), (root_ns, root) = self._node.joined(), self._root.joined()
         span_s = _WINDOW_S if self._turns else _HEAVE_WINDOW_S
         end_ns = min(int(node_ns[-1]) + base_ns - MOST_DELAY_NS, int(root_ns[-1]))
@@ -157,11 +168,15 @@ class MotionAlignment:
         if lag.sigma_s > LARGEST_SIGMA_S:
             return
         middle_ns = start_ns + round(span_s * 0.5e9)
-        # age of the quickest arrivals at the middle of the window; it is the same now, if the link has not changed
-        age_ns = self._quickest(middle_ns)[0] - base_ns + round(lag.lag_s * 1e9)
-        _, stamp_ns, received_ns = self._quickest(self._arrivals[-1][1] - _NEAR_NS)
+        # age of the quickest arrivals at the middle of the window, and by how much more those of now may be older: what
+        # is not the clock's skew may be a link that has become slower (positive) or quicker
+        then_ns, _, then_received_ns = self._quickest(middle_ns)
+        age_ns = then_ns - base_ns + round(lag.lag_s * 1e9)
+        least_ns, stamp_ns, received_ns = self._quickest(self._arrivals[-1][1] - _NEAR_NS)
+        older_ns = least_ns - then_ns + round(skew * (received_ns - then_received_ns))
         half_ns = round(SIGMAS * math.hypot(lag.sigma_s, _LINK_SIGMA_S) * 1e9)
-        yield TimesyncReply(self.clock, received_ns - age_ns - half_ns, stamp_ns, received_ns - age_ns + half_ns)
+        from_ns = received_ns - age_ns - max(older_ns, 0) - half_ns
+        yield TimesyncReply(self.clock, from_ns, stamp_ns, received_ns - age_ns - min(older_ns, 0) + half_ns)
 
     def _quickest(self, host_ns: int) -> tuple[int, int, int]:
         """Arrival minus stamp, stamp and arrival, ns, of the quickest batch within a second of a host time."""
@@ -276,7 +291,7 @@ def _searched(node_s: Floats, node: Floats, edges: Floats, reference: _Reference
     for _ in range(_GAUSS_NEWTON_STEPS):
         step_s, sigma_s = _regressed(late(lag_s), reference.slope, reference.others)
         lag_s += step_s
-    if not (np.isfinite(sigma_s) and -_SEARCH_S <= lag_s <= most_s + _SEARCH_S):
+    if not (np.isfinite(sigma_s) and -_SEARCH_S <= lag_s <= most_s):
         return None
     return Lag(lag_s, sigma_s)
 

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.clock.clock_map import ClockMap, Knot
-from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, SKEW_DRIFT_PER_S, ClockFit, ExchangeWindow, agree
+from companion.core.clock.sync_window import (
+    ANY_SKEW,
+    FINE_NS,
+    LONGEST_LAG_NS,
+    SKEW_DRIFT_PER_S,
+    ClockFit,
+    ExchangeWindow,
+    agree,
+)
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
@@ -23,6 +31,7 @@ _SETTLED_SPAN_NS = 1_500_000_000  # a restarted clock waits no longer than this 
 _GOOD_BOUND_NS = 2_000_000  # at 5 Hz this is 3.6 degrees of the mode's phase (choice)
 _BEFORE_FIRST_NS = 2_000_000_000  # samples may be older than the first exchange by what a link buffers (choice)
 _MOST_LAG_NS = 50_000_000  # a restart goes back by seconds, a busy simulator's clock lags by milliseconds (choice)
+_UNDECIDED_NS = 5_000_000_000  # a suspicion that nothing decides ends with a restart: a minute is lost else (choice)
 _WARMING_SKEW = 20e-6
 """Change of a crystal's skew over a restart: half a minute of cooling of a cheap one (choice)."""
 _AS_GOOD = 3.0  # ratio of the bounds after and before a restart at which the clock is used again (choice)
@@ -40,11 +49,11 @@ class _Before:
 class RemoteClockEstimator:
     """Estimator of one clock.
 
-    An exchange that contradicts all others suspends the clock at once. The next one decides. If it agrees with the old
-    ones, the exchange before was wrong. If it agrees with that one, the clock has restarted, and all older exchanges
-    are void. A restart goes back by seconds. A clock that is off by some milliseconds may be a simulated autopilot
-    whose machine is busy, and which catches up. This must last a second to count as a restart, and nothing is converted
-    meanwhile.
+    An exchange that contradicts all others suspends the clock at once. The next one that tells decides. If it
+    contradicts that exchange, it alone was wrong. If it agrees with it and contradicts the old ones, the clock has
+    restarted, and all older exchanges are void. One that agrees with both, as of a slow link, decides nothing. A
+    restart goes back by seconds. A clock that is off by some milliseconds may be a simulated autopilot whose machine is
+    busy, and which catches up. This must last a second to count as a restart, and nothing is converted meanwhile.
 
     The crystal stays the same, so a restarted clock keeps about its skew. It is used again when its bound is about what
     it was, or after 1.5 s. A hasty first estimate would be steered away slowly, and users that have learned the error
@@ -65,27 +74,29 @@ class RemoteClockEstimator:
 
     def restart(self, at_host_ns: int) -> ClockState:
         """Forget everything: the clock's owner has restarted."""
+        self._last_host_ns = self._latest_ns(at_host_ns)
         self._forget()
         self.restarts += 1
-        self._last_host_ns = max(self._last_host_ns, at_host_ns)
         return self.state()
 
     def exchange(self, reply: TimesyncReply) -> ClockState:
         """Take one exchange."""
         if not 0 <= reply.received_host_ns - reply.sent_host_ns <= MOST_ROUND_TRIP_NS:
             self.discarded += 1
-            return self.state(None if self._last_host_ns else reply.received_host_ns)
-        self._last_host_ns = max(self._last_host_ns, reply.received_host_ns)
+            return self.state(reply.received_host_ns if self._window is None else None)
+        self._last_host_ns = self._latest_ns(reply.received_host_ns)
         if self._window is None:
             self._window = ExchangeWindow(reply, self._before.skews)
             return self.state()
         fit = self._window.add(reply)
         if fit is None:
             self._contradicted(reply)
-        else:
+        elif self._suspect is None or not agree(self._suspect, reply, FINE_NS):
             self.discarded += self._suspect is not None
             self._suspect = None
             self._steer(self._window, fit, reply.received_host_ns)
+        elif reply.received_host_ns - self._suspected_ns >= _UNDECIDED_NS:
+            self._begin_anew(reply)
         return self.state()
 
     def to_host(self, t_ns: Ints, received_host_ns: int | None) -> tuple[Ints, int] | Reject:
@@ -140,6 +151,9 @@ class RemoteClockEstimator:
         """Whether the last exchange is recent, or the bound, which grows with time, is still small."""
         return host_ns <= self._last_host_ns + STALE_NS or bound_ns <= _GOOD_BOUND_NS
 
+    def _latest_ns(self, host_ns: int) -> int:
+        return host_ns if self._window is None else max(self._last_host_ns, host_ns)
+
     def _forget(self) -> None:
         if self._mapping:
             self._before = _remembered(self._skew, self._mapping.newest())
@@ -158,10 +172,13 @@ class RemoteClockEstimator:
         if self._lags(reply) and reply.received_host_ns - self._suspected_ns < LONGEST_LAG_NS:
             self.discarded += 1
             return
+        self._begin_anew(suspect, reply)
+
+    def _begin_anew(self, *replies: TimesyncReply) -> None:
         self._forget()
         self.restarts += 1
-        for exchange_reply in (suspect, reply):
-            self.exchange(exchange_reply)
+        for reply in replies:
+            self.exchange(reply)
 
     def _lags(self, reply: TimesyncReply) -> bool:
         """Whether an exchange is off by so little that the clock may only lag."""

@@ -22,7 +22,8 @@ _CAREFUL_NS = 10_000_000_000
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
 """Granularity granted to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
 by whole physics frames). They are tried only if the exchanges contradict each other without, and widen the bound."""
-_FINE_NS = _TOLERANCES_NS[1]
+FINE_NS = _TOLERANCES_NS[1]
+"""Granularity of a clock that is no simulator's (choice)."""
 LONGEST_LAG_NS = 1_000_000_000
 """Longest time for which a simulated autopilot lags before it catches up (choice)."""
 _NEAR_NS = 300_000_000
@@ -101,7 +102,7 @@ class ExchangeWindow:
         self._skews = skews
         self._aside = 0  # exchanges in a row, and since when
         self._aside_ns = 0
-        self._lagged_until = -1
+        self._lagged_until = first.received_host_ns // _BUCKET_NS - 1
         self._careful_until_ns = first.received_host_ns + _CAREFUL_NS
         self.add(first)
 
@@ -125,7 +126,7 @@ class ExchangeWindow:
         if lines_before is not None and same and self._closed:  # within a second the skew changes by little
             lines = _cut(lines_before, later, self._running(bucket), bucket.lower, now, self._tolerance_ns)
         closed = self._closed if same or last is None else [*self._closed, last]
-        lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
+        lines = lines or self._rebuilt(closed, bucket, now, FINE_NS)
         if lines is None and lines_before is not None:
             moved = lines_before.moved(later)
             if self._may_wait(moved, upper, now):
@@ -133,7 +134,7 @@ class ExchangeWindow:
                 return self._fit(moved)
         if lines is not None and self._aside:
             closed, bucket = self._grown_careful(closed, bucket, now)
-            lines = self._rebuilt(closed, bucket, now, _FINE_NS) or lines
+            lines = self._rebuilt(closed, bucket, now, FINE_NS) or lines
         self._aside = 0
         lines = lines or self._rebuilt(closed, bucket, now, _TOLERANCES_NS[-1])
         if lines is None:
@@ -150,7 +151,7 @@ class ExchangeWindow:
     def _may_wait(self, lines: FeasibleLines, upper: _Bound, now_ns: int) -> bool:
         """Whether to set a contradicting exchange aside: the first one, and those of a clock that lags."""
         self._aside_from(now_ns)
-        behind = lines.between((float(upper.at_ns - now_ns), upper.offset_ns + _FINE_NS), _NO_LOWER) is None
+        behind = lines.between((float(upper.at_ns - now_ns), upper.offset_ns + FINE_NS), _NO_LOWER) is None
         return self._aside == 1 or (behind and now_ns - self._aside_ns < LONGEST_LAG_NS)
 
     def _fit(self, lines: FeasibleLines) -> ClockFit:
@@ -200,12 +201,12 @@ class ExchangeWindow:
         return None
 
 
-def agree(first: TimesyncReply, second: TimesyncReply) -> bool:
+def agree(first: TimesyncReply, second: TimesyncReply, tolerance_ns: float = _TOLERANCES_NS[-1]) -> bool:
     """Whether two exchanges can be of one clock."""
     base_ns = first.remote_ns - first.received_host_ns
     pairs = [_bounds(reply, base_ns) for reply in (first, second)]
     uppers, lowers = ([_relative(pair[i], second.received_host_ns) for pair in pairs] for i in (0, 1))
-    return _intersected(uppers, lowers, _TOLERANCES_NS[-1], ANY_SKEW) is not None
+    return _intersected(uppers, lowers, tolerance_ns, ANY_SKEW) is not None
 
 
 def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:

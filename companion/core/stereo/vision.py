@@ -17,6 +17,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
+_LATE_FRAMES = 8  # a frame that is so far back in number, and earlier, is late; the camera has not begun anew (choice)
 _MAX_PLANS = 32  # largest number of plans kept, more than arrive between two frames (choice)
 
 
@@ -55,7 +56,7 @@ class FrameChoice:
 
 @dataclass(slots=True)
 class VisionState:
-    """The pairer and the search of one camera pair, and the numbers of the frames that come next.
+    """The pairer and the search of one camera pair, and each camera's newest frame.
 
     The search covers the motion of the images by trim bend, gusts and load factor, and ranges from the shortest to the
     longest of the settings. It depends on airframe and settings alone, so a recorded pair gives the same matches in
@@ -69,7 +70,7 @@ class VisionState:
     search: Search
     pairer: FramePairer = field(default_factory=FramePairer)
     choice: FrameChoice | None = None
-    numbers: dict[Side, int] = field(default_factory=dict)
+    newest: dict[Side, tuple[int, int]] = field(default_factory=dict)  # number and stamp
     earlier: EarlierView | None = None
     shown: FramePair | None = None
 
@@ -109,8 +110,11 @@ class VisionState:
 
     def missing(self, frame: Frame) -> list[Rejected]:
         """Frames missing in one camera's numbering: exposures whose images were lost, or never made."""
-        count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
-        self.numbers[frame.side] = frame.sequence + 1
+        number, at_ns = self.newest.get(frame.side, (frame.sequence - 1, frame.mid_exposure_ns))
+        if number - _LATE_FRAMES <= frame.sequence < number and frame.mid_exposure_ns < at_ns:
+            return []
+        count = frame.sequence - number - 1
+        self.newest[frame.side] = frame.sequence, frame.mid_exposure_ns
         if count <= 0:
             return []
         return [Rejected(Reject.FRAME_LOST, f"{frame.side.name.lower()} frames", frame.mid_exposure_ns, count)]

@@ -10,20 +10,22 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import OrderedDict, deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from companion.core.clock.bank import ClockBank
-from companion.core.trigger.latency import MOST_LATENCY_NS
+from companion.core.trigger.latency import MOST_LATENCY_NS, LatencyModel
 from companion.params.airframe import Airframe, Camera
-from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot
+from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot, Side
 
 WRAP_NS = 2**32 * 1000  # by definition: 32 bits of microseconds
 _PIN_SIGMA_NS = 50e3
 """Sigma of the time from the shutter to the stamp of the pin's interrupt (choice)."""
 _NEAR_NS = 20_000_000
 """Without a known plan, the edge of a pair lies within this time of its own stamp (choice)."""
+_STAMP_SIGMAS = 6.0  # an edge further from the camera's own stamp is of another exposure (choice: as for latencies)
 _LATE_NS = 1_000_000_000  # an edge that arrives later belongs to a pair already processed (choice)
 _MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate (choice)
 
@@ -37,11 +39,16 @@ class StampedPair(NamedTuple):
 
 
 class ExposureFeedback:
-    """Edges and shots of the last seconds, and the stamps of pairs by them. ``clocks`` is only read."""
+    """Edges and shots of the last seconds, and the stamps of pairs by them. ``clocks`` and ``latency`` are only read.
 
-    def __init__(self, airframe: Airframe, clocks: ClockBank) -> None:
+    Exposures may come later after their command than the next command, so an edge belongs to the shot after which it
+    comes about as late as ``latency`` believes.
+    """
+
+    def __init__(self, airframe: Airframe, clocks: ClockBank, latency: LatencyModel) -> None:
         self._cameras = (airframe.left_camera, airframe.right_camera)
         self._clocks = clocks
+        self._latency = latency
         self._edges: tuple[deque[tuple[int, int]], ...] = (deque(maxlen=_MAX_ENTRIES), deque(maxlen=_MAX_ENTRIES))
         self._shots: OrderedDict[int, int] = OrderedDict()
 
@@ -73,8 +80,8 @@ class ExposureFeedback:
         """Give the pair with the better stamp of each camera: its own, or the pin's."""
         clocks, stamps, used = list(matches.clocks), matches.mid_exposure_ns.copy(), 0
         sigmas_s = [0.0 if camera is None else camera.stamp_sigma_s for camera in self._cameras]
-        for side, camera in enumerate(self._cameras):
-            edge = None if camera is None else self._edge_of(matches, side)
+        for side, camera in zip(Side, self._cameras, strict=True):
+            edge = None if camera is None else self._edge_of(matches, side, camera)
             if camera is None or edge is None:
                 continue
             at_ns, bound_ns = edge
@@ -87,18 +94,37 @@ class ExposureFeedback:
             matches = dataclasses.replace(matches, clocks=(clocks[0], clocks[1]), mid_exposure_ns=stamps)
         return StampedPair(matches, used, max(sigmas_s))
 
-    def _edge_of(self, matches: MatchSet, side: int) -> tuple[int, int] | None:
-        """Edge after the plan's shot, else the one nearest to the pair's own stamp: host time and bound, ns."""
-        fired_ns, camera = self._shots.get(matches.plan_id), self._cameras[side]
+    def _edge_of(self, matches: MatchSet, side: Side, camera: Camera) -> tuple[int, int] | None:
+        """Edge of the plan's shot, else the one nearest to the pair's own stamp: host time and bound, ns."""
+        fired_ns = self._shots.get(matches.plan_id)
+        stamp_ns = None
+        if matches.clocks[side] is ClockName.HOST:
+            stamp_ns = int(matches.mid_exposure_ns[side]) - _to_middle_ns(matches, camera)
         if fired_ns is not None:
-            later = [at for at in self._shots.values() if at > fired_ns]
-            ends_ns = min([*later, fired_ns + MOST_LATENCY_NS])
-            return min((edge for edge in self._edges[side] if fired_ns - edge[1] <= edge[0] < ends_ns), default=None)
-        if camera is None or matches.clocks[side] is not ClockName.HOST:
+            edge = self._edge_after(fired_ns, side, _to_middle_ns(matches, camera))
+        elif stamp_ns is not None:
+            edge = _nearest(self._edges[side], stamp_ns)
+            edge = edge if edge is not None and abs(edge[0] - stamp_ns) <= _NEAR_NS else None
+        else:
             return None
-        camera_ns = int(matches.mid_exposure_ns[side]) - _to_middle_ns(matches, camera)
-        nearest = min(self._edges[side], key=lambda edge: abs(edge[0] - camera_ns), default=None)
-        return nearest if nearest is not None and abs(nearest[0] - camera_ns) <= _NEAR_NS else None
+        if edge is None or stamp_ns is None:
+            return edge
+        allowed_ns = _STAMP_SIGMAS * math.hypot(camera.stamp_sigma_s * 1e9, edge[1])
+        return edge if abs(edge[0] - stamp_ns) <= allowed_ns else None
+
+    def _edge_after(self, fired_ns: int, side: Side, to_middle_ns: int) -> tuple[int, int] | None:
+        """Edge nearest to when this shot's is expected, unless it is nearer to when another shot's is."""
+        latency_ns = self._latency.estimate(side).bias_ns - to_middle_ns
+        caused = [edge for edge in self._edges[side] if -edge[1] <= edge[0] - fired_ns <= MOST_LATENCY_NS]
+        edge = _nearest(caused, fired_ns + latency_ns)
+        if edge is None:
+            return None
+        shot_ns = min(self._shots.values(), key=lambda at_ns: abs(at_ns + latency_ns - edge[0]))
+        return edge if shot_ns == fired_ns else None
+
+
+def _nearest(edges: Iterable[tuple[int, int]], at_ns: float) -> tuple[int, int] | None:
+    return min(edges, key=lambda edge: abs(edge[0] - at_ns), default=None)
 
 
 def _to_middle_ns(matches: MatchSet, camera: Camera) -> int:

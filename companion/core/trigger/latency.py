@@ -18,6 +18,7 @@ _MEMORY = 64  # newest latencies that the median is taken of (choice)
 _MAX_SHOTS = 256  # bound of memory: shots whose exposure may still arrive
 _OUTLIER_SPREADS = 6.0  # jitter of a serial link or an operating system stays below (choice)
 _LEAST_SPREAD_NS = 50e3  # resolution of stamps (choice)
+_EARLY_SIGMAS = 6.0  # a stamp that is earlier than its command by more is not of it (choice: as for outliers)
 _REGIME = 5
 """So many outliers in a row that agree are a new latency: another exposure, another link (choice)."""
 _JUDGED = 32  # last latencies of which most must be no outliers (choice)
@@ -108,16 +109,21 @@ class LatencyModel:
         while len(self._fired) > _MAX_SHOTS:
             self._fired.popitem(last=False)
 
-    def exposure(self, side: Side, plan_id: int, mid_exposure_host_ns: int) -> Reject | None:
+    def exposure(
+        self, side: Side, plan_id: int, mid_exposure_host_ns: int, stamp_sigma_s: float = 0.0
+    ) -> Reject | None:
         """Learn from a measured exposure.
 
         ``plan_id`` pairs it with its shot. If it is negative or unknown, the shot whose expected exposure is nearest in
-        time is taken. ``UNPAIRED`` means that there is none, ``INCONSISTENT`` that the latency is an outlier.
+        time is taken. ``UNPAIRED`` means that there is none, ``INCONSISTENT`` that the latency is an outlier. An
+        exposure may come sooner after its command than its stamp is good, one-sigma ``stamp_sigma_s``. Then the stamp
+        may be before the command; were such ones left out, the others would be late on average.
         """
+        early_ns = _EARLY_SIGMAS * stamp_sigma_s * 1e9
         fired = self._fired.get(plan_id) if plan_id >= 0 else None
         if fired is None:
-            fired = self._nearest(side, mid_exposure_host_ns)
-        if fired is None or not 0 <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS:
+            fired = self._nearest(side, mid_exposure_host_ns, early_ns)
+        if fired is None or not -early_ns <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS:
             self.unpaired += 1
             return Reject.UNPAIRED
         good = self._paths[side].learn(float(mid_exposure_host_ns - fired))
@@ -164,10 +170,11 @@ class LatencyModel:
         sigma = np.array(self.sigmas_ns()) * 1e-9
         return TriggerLatency(now_host_ns, np.maximum(np.array(latency), 0.0), sigma, shots)
 
-    def _nearest(self, side: Side, mid_exposure_host_ns: int) -> int | None:
+    def _nearest(self, side: Side, mid_exposure_host_ns: int, early_ns: float) -> int | None:
         expected = mid_exposure_host_ns - self._paths[side].belief.bias_ns
-        earlier = [fired for fired in self._fired.values() if 0 <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS]
-        return min(earlier, key=lambda fired: abs(fired - expected), default=None)
+        after_ns = ((fired, mid_exposure_host_ns - fired) for fired in self._fired.values())
+        causes = [fired for fired, at_ns in after_ns if -early_ns <= at_ns <= MOST_LATENCY_NS]
+        return min(causes, key=lambda fired: abs(fired - expected), default=None)
 
 
 def to_middle_s(camera: Camera) -> float:

@@ -62,8 +62,8 @@ class Scheduling:
         """Whether shots have brought no pair of images for a while: a loose line, a camera or its process gone."""
         return self.unseen >= _BLIND_SHOTS and now_host_ns - self.unseen_since_ns >= _BLIND_NS
 
-    def exposed(self, matches: MatchSet) -> Reject | None:
-        """Learn from measured exposures whose stamps are on the host's clock.
+    def exposed(self, matches: MatchSet, stamp_sigma_s: float) -> Reject | None:
+        """Learn from measured exposures whose stamps are on the host's clock, with the one-sigma of the worse stamp.
 
         ``STAMP_OUTLIER`` means a wrong stamp: an exposure is off its camera's usual latency, or its shot cannot have
         caused it. None without a shot.
@@ -72,11 +72,11 @@ class Scheduling:
         verdict = None
         wrong = {Reject.INCONSISTENT}
         if self.latency.fired(matches.plan_id):
-            wrong.add(Reject.UNPAIRED)  # before its command, or half a second after
+            wrong.add(Reject.UNPAIRED)  # before its command by more than its stamp errs, or half a second after
         for side, clock, t_ns in zip(Side, matches.clocks, matches.mid_exposure_ns, strict=True):
             if clock is not ClockName.HOST:
                 continue
-            refused = self.latency.exposure(side, matches.plan_id, int(t_ns))
+            refused = self.latency.exposure(side, matches.plan_id, int(t_ns), stamp_sigma_s)
             if refused in wrong and self.latency.regular(side):
                 verdict = Reject.STAMP_OUTLIER
         return verdict
