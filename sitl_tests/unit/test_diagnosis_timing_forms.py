@@ -54,7 +54,8 @@ def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders(
     motion = model.expect(np.zeros(len(model.belief.nuisances))).motion
     rows = np.zeros((2, motion.modal.shape[0], 1), dtype=np.complex128)
     rows[:, 0] = 1.0
-    separate, shared = (model._toe._wandering(motion, rows, 0.0, view) for view in views)  # type: ignore[union-attr]
+    squared_rates = model._toe._squared_rates  # type: ignore[union-attr]
+    separate, shared = (squared_rates(motion, rows, 0.0, view.jitter_shared) for view in views)
     assert separate == pytest.approx(0.5 * shared)
 
 
