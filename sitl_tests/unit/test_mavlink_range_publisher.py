@@ -155,6 +155,28 @@ def test_a_speed_that_was_told_before_the_exposure_moves_the_range_and_widens_it
     assert sent(message).covariance == 255, "150^2 cm^2: more than the field holds"
 
 
+def covariance_cm2(climb_told_ms: int) -> int | None:
+    """Covariance of a downward range sent at 3 s where attitudes come until then; None: no range is sent."""
+    outputs = RangePublisher(Settings(), 25)
+    for at_ms in range(2700, 3000, 10):
+        state_of_then = state(at_ms * MS, -0.1)
+        outputs.note_motion(dataclasses.replace(state_of_then, air_host_ns=min(at_ms, climb_told_ms) * MS))
+    record = dataclasses.replace(measured(2970 * MS), range_m=100.0, sigma_m=0.01)
+    (message,) = outputs.messages(record, 0, 3000 * MS)
+    return None if sent(message).signal_quality == encode.NO_RANGE_QUALITY else int(sent(message).covariance)
+
+
+def test_attitudes_make_no_climb_younger_that_stopped() -> None:
+    """VFR_HUD ends, ATTITUDE goes on: the climb's sigma grows by 3 m/s^2, and after 2 s nothing is sent by it."""
+    fresh, older, old = covariance_cm2(2980), covariance_cm2(2750), covariance_cm2(1100)
+    assert fresh is not None
+    assert older is not None
+    assert fresh < 10
+    assert older == math.ceil(100**2 * (0.01**2 + 0.03**2 * (0.3**2 + 3.0**2) + (1.5 * 0.25**2) ** 2))
+    assert old == 255
+    assert covariance_cm2(950) is None
+
+
 @pytest.mark.parametrize("orientation", [0, 25])
 @pytest.mark.parametrize(("told_at_ms", "exposed_ms"), [(None, 3800), (1900, 3800), (3900, 1900)])
 def test_no_range_goes_out_where_nothing_tells_how_it_changed(

@@ -28,6 +28,7 @@ _RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins 
 _SPEED_SIGMA_MPS = 0.3  # of a told climb rate or velocity, and of level ground under an aircraft in flight (choice)
 _WIND_SIGMA_MPS = 3.0  # of the airspeed as speed over ground (choice, as for the flow: core/stereo/README.md)
 _EARLIER_SIGMA_MPS = 3.0  # of a speed that was told before the exposure alone: a push-over of 3 m/s^2 (choice)
+_UNTOLD_MPS2 = 3.0  # by so much a speed may change while none is told: the same push-over (choice)
 _OLDEST_NS = 2_000_000_000  # neither an older range is moved on, nor any by an older speed (choice)
 _SECTORS_LAST_NS = 400_000_000  # chosen: as a range does (core/output_scheduler.py)
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
@@ -117,17 +118,25 @@ class RangePublisher:
     def _approached(self, t_host_ns: int, now_host_ns: int) -> tuple[float, float] | None:
         """How much nearer something that stands still has come since an exposure, and its sigma, m; None: not told."""
         age_ns = now_host_ns - t_host_ns
-        recent = [s for s in self._states if now_host_ns - _OLDEST_NS <= s.received_host_ns <= now_host_ns]
+        known_ns = [(self._speed_host_ns(state), state) for state in self._states]
+        recent = [row for row in known_ns if now_host_ns - _OLDEST_NS <= row[0] <= now_host_ns]
         if age_ns > _OLDEST_NS or not recent:
             return None
-        since = [state for state in recent if state.received_host_ns >= t_host_ns]
+        since = [row for row in recent if row[0] >= t_host_ns]
         speeds = [
             (-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state)
-            for state in since or recent[-1:]
+            for _, state in since or recent[-1:]
         ]
         speed_mps, sigma_mps = np.mean(speeds, axis=0).tolist()
         sigma_mps = sigma_mps if since else math.hypot(sigma_mps, _EARLIER_SIGMA_MPS)
-        return 1e-9 * age_ns * speed_mps, 1e-9 * age_ns * sigma_mps
+        untold_s = 1e-9 * (now_host_ns - max(host_ns for host_ns, _ in recent))
+        sigma_m = math.hypot(1e-9 * age_ns * sigma_mps, 0.5 * _UNTOLD_MPS2 * untold_s**2)
+        return 1e-9 * age_ns * speed_mps, sigma_m
+
+    def _speed_host_ns(self, state: VehicleState) -> int:
+        """When the speed was received that moves the ranges: climb and airspeed may be older than their attitude."""
+        is_of_air = self._looks_down or state.velocity_ned_mps is None
+        return state.air_host_ns if is_of_air and state.air_host_ns is not None else state.received_host_ns
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
         form, boot_ns = self._settings.obstacles, record.t_host_ns + boot_offset_ns
