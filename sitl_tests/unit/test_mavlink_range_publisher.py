@@ -147,7 +147,7 @@ def test_a_range_of_a_pair_that_looks_aside_stays_as_it_was() -> None:
 
 def test_a_speed_that_was_told_before_the_exposure_moves_the_range_and_widens_its_sigma() -> None:
     """42 m, 0.5 s of sinking at 2 m/s; the speed may be 3 m/s off by now."""
-    outputs = RangePublisher(Settings(), 25)
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 25)
     outputs.note_motion(state(900 * MS, -2.0))
     record = dataclasses.replace(measured(1000 * MS), sigma_m=0.01)
     (message,) = outputs.messages(record, 0, 1500 * MS)
@@ -155,9 +155,34 @@ def test_a_speed_that_was_told_before_the_exposure_moves_the_range_and_widens_it
     assert sent(message).covariance == 255, "150^2 cm^2: more than the field holds"
 
 
+@pytest.mark.parametrize(("range_m", "goes_out"), [(95.0, True), (70.0, True), (59.0, False)])
+def test_what_the_way_makes_too_vague_is_not_sent(range_m: float, goes_out: bool) -> None:
+    """0.6 s by airspeed alone: 1.8 m of sigma, 3 % of 60 m; what is too near to measure is sent all the same."""
+    outputs = RangePublisher(Settings(), 0)
+    for k in range(10):
+        outputs.note_motion(state(1000 * MS + 100 * k * MS, 0.0))
+    record = dataclasses.replace(measured(1100 * MS), orientation=0, range_m=range_m + 12.0)
+    (message,) = outputs.messages(record, 0, 1700 * MS)
+    assert (sent(message).signal_quality != encode.NO_RANGE_QUALITY) is goes_out
+    (circle,) = outputs.messages(obstacle_sectors(1100 * MS, {0: range_m + 12.0, 1: 9.0}), 0, 1700 * MS)
+    distances = sent(circle).distances
+    assert distances[4] == (round(100 * range_m) if goes_out else 65535)
+    assert distances[5] == 400
+
+
+def test_a_flare_keeps_its_ranges() -> None:
+    """5 m and 0.25 m of sigma after 0.6 s at the usual rate: 5 %, and of use."""
+    outputs = RangePublisher(Settings(), 25)
+    for k in range(14):
+        outputs.note_motion(state(1000 * MS + 50 * k * MS, -0.5))
+    record = dataclasses.replace(measured(1100 * MS), range_m=5.3, sigma_m=0.15)
+    (message,) = outputs.messages(record, 0, 1700 * MS)
+    assert sent(message).current_distance == 500
+
+
 def covariance_cm2(climb_told_ms: int) -> int | None:
     """Covariance of a downward range sent at 3 s where attitudes come until then; None: no range is sent."""
-    outputs = RangePublisher(Settings(), 25)
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 25)
     for at_ms in range(2700, 3000, 10):
         state_of_then = state(at_ms * MS, -0.1)
         outputs.note_motion(dataclasses.replace(state_of_then, air_host_ns=min(at_ms, climb_told_ms) * MS))
@@ -203,7 +228,7 @@ def test_what_lies_ahead_is_moved_on_by_the_speed_towards_it(
     velocity_ned_mps: tuple[float, float, float] | None, metres_cm: int, sigma_m: float
 ) -> None:
     """42 m at the exposure, 0.6 s at 20 m/s of airspeed or, heading east, 24 over ground."""
-    outputs = RangePublisher(Settings(), 0)
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 0)
     for k in range(10):
         flying = dataclasses.replace(state(1000 * MS + 100 * k * MS, 0.0), yaw_rad=math.pi / 2)
         outputs.note_motion(dataclasses.replace(flying, velocity_ned_mps=velocity_ned_mps))
