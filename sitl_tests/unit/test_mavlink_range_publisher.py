@@ -89,6 +89,17 @@ def test_points_lie_where_the_sectors_are() -> None:
     assert (behind_left.x, behind_left.y) == pytest.approx((-30 * math.sqrt(0.5), -30 * math.sqrt(0.5)))
 
 
+@pytest.mark.parametrize("min_m", [0.5, 4.0, 4.35, 100.0])
+def test_points_that_are_nearer_than_the_least_distance_are_put_there(min_m: float) -> None:
+    """An autopilot passes over a point that is nearer than the message's least distance."""
+    circle = dataclasses.replace(obstacle_sectors(0, dict.fromkeys(range(72), 0.9 * min_m), 200.0), min_m=min_m)
+    points = [sent(message) for message in encode.obstacle_points(circle, 7)]
+    assert len(points) == 72
+    for point in points:
+        length_m = np.sqrt(np.float32(point.x) ** 2 + np.float32(point.y) ** 2, dtype=np.float32)
+        assert point.min_distance <= length_m < point.min_distance + 0.001
+
+
 def test_stamps_of_points_advance_and_follow_a_restart() -> None:
     outputs = RangePublisher(Settings(obstacles=2), 0)
     stamps = []
