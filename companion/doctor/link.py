@@ -21,7 +21,8 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("link", FindingLevel.UNKNOWN, text)
         return
     if pilot is None:
-        yield Finding.fix("link", absence_text(evidence.beats, junk=bool(evidence.skipped_bytes)))
+        text = absence_text(evidence.beats, junk=bool(evidence.skipped_bytes), refused=evidence.refused)
+        yield Finding.fix("link", text)
         return
     rate_hz = pilot.count / evidence.seconds if evidence.seconds else 0.0
     names = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: " ArduPilot", mavlink.MAV_AUTOPILOT_PX4: " PX4"}
@@ -44,6 +45,9 @@ def _wire(evidence: Evidence) -> Iterator[Finding]:
         yield Finding.fix("wire", text)
     elif evidence.frames:
         yield Finding.ok("wire", f"{evidence.frames} frames, {damaged:.2%} damaged")
+    if evidence.refused:
+        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(evidence.refused.items()))
+        yield Finding.fix("wire", f"signing refused {counts}: both ends need the same key")
 
 
 def _routing(evidence: Evidence) -> Iterator[Finding]:

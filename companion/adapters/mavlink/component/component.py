@@ -62,15 +62,15 @@ class OnboardComponent:
         ):
             if message is not None:
                 yield message
-        if self.signing is not None:
-            self._notices.extend(self.signing.notices(now_host_ns))
 
     def close(self) -> None:
         """Finish what is under way."""
         self.parameters.close()
 
-    def events(self) -> list[ParameterChange | Notice]:
-        """Changes and sentences for the operator since the last call."""
+    def events(self, now_host_ns: int) -> list[ParameterChange | Notice]:
+        """Changes and sentences for the operator since the last call, whether or not a vehicle is heard."""
+        if self.signing is not None:
+            self._notices.extend(self.signing.notices(now_host_ns))
         taken = [*self.parameters.events(), *self._notices]
         self._notices.clear()
         return taken

@@ -158,7 +158,7 @@ class MavlinkAutopilot:
             yield from self._complain()
         yield from self._refusals()
         yield from self.rates.notices()
-        for event in self.component.events():
+        for event in self.component.events(self._clock.now_ns()):
             if isinstance(event, ParameterChange):
                 self.adopt(self.component.parameters.settings)
             yield event
@@ -171,7 +171,9 @@ class MavlinkAutopilot:
 
     def _complain(self) -> Iterator[Notice]:
         junk = any(self.decoder.counters(link.number).skipped_bytes for link in self._links)
-        notice = self._absence.due(self._clock.now_ns(), junk=junk)
+        signing = self.component.signing
+        refused = () if signing is None else tuple(signing.refused)
+        notice = self._absence.due(self._clock.now_ns(), junk=junk, refused=refused)
         if notice is not None:
             yield notice
 
