@@ -133,31 +133,40 @@ class Signing:
         return body + self._digest(body)
 
     def judge(self, frame: bytes) -> Refusal | None:
-        """Say why a whole frame, whose checksum is right, may not come in; nothing if it may."""
-        refusal = self._refusal(frame)
+        """Say why a whole frame, whose checksum is right, may not come in; nothing, and take it, if it may."""
+        refusal = self.examine(frame)
         if refusal is None:
-            self.accepted += 1
-            self._keep()
-        elif not (refusal is Refusal.UNSIGNED and _is_radio_status(frame)):
+            self.accept(frame)
+        return refusal
+
+    def examine(self, frame: bytes) -> Refusal | None:
+        """Say the same of a frame of which something else decides yet whether it is taken."""
+        refusal = self._refusal(frame)
+        if refusal is not None and not (refusal is Refusal.UNSIGNED and _is_radio_status(frame)):
             self.refused[refusal] += 1
         return refusal
+
+    def accept(self, frame: bytes) -> None:
+        """Take a frame that may come in: from now on its stream must be newer."""
+        stream, timestamp = _stamp_of(frame)
+        self._streams[stream] = timestamp
+        if timestamp > self.now():
+            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
+        self.accepted += 1
+        self._keep()
 
     def _refusal(self, frame: bytes) -> Refusal | None:
         if frame[0] != MAGIC_2 or not frame[2] & SIGNED:
             return Refusal.UNSIGNED
         if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
             return Refusal.WRONG_KEY
-        stream = (frame[-13], frame[5], frame[6])
-        timestamp = int.from_bytes(frame[-12:-6], "little")
+        stream, timestamp = _stamp_of(frame)
         newest = self._streams.get(stream)
         if newest is not None and timestamp <= newest:
             return Refusal.REPLAYED
         oldest = max(self.now() - _MINUTE, self._floor + 1)
         if newest is None and (timestamp < oldest or len(self._streams) >= _MOST_STREAMS):
             return Refusal.STALE
-        self._streams[stream] = timestamp
-        if timestamp > self.now():
-            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
         return None
 
     def _digest(self, signed: bytes) -> bytes:
@@ -182,6 +191,11 @@ class Signing:
         return notices
 
 
+def _stamp_of(frame: bytes) -> tuple[StreamKey, int]:
+    """Stream of a signed frame and its timestamp, 10 us."""
+    return (frame[-13], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
+
+
 def _is_radio_status(frame: bytes) -> bool:
     """Whether a frame is a telemetry radio's RADIO_STATUS, which no radio can sign: dropped, and no news."""
     return sender_of(frame)[2] == ID_OF["RADIO_STATUS"]
@@ -197,7 +211,8 @@ class SignedTransport:
         self._tail = b""
         self._judged_inside = isinstance(inner, UdpIn)  # it learns its peers from what is accepted
         if isinstance(inner, UdpIn):
-            inner.judge = lambda frame: signing.judge(frame) is None
+            inner.judge = lambda frame: signing.examine(frame) is None
+            inner.accept = signing.accept
 
     @property
     def senders(self) -> Senders | None:
