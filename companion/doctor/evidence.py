@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.signing import Refusal
 from companion.core.tracking.clipping import at_limit
 from companion.core.tracking.streams import channel_ranges
 from companion.evaluation.plan_outcomes import PlanOutcomes
@@ -126,7 +127,7 @@ class Evidence:
     frames: int = 0
     crc_errors: int = 0
     skipped_bytes: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
+    refused: Counter[Refusal] = field(default_factory=Counter)
     serial_baud: dict[str, int] = field(default_factory=dict)
     link_components: dict[str, set[int]] = field(default_factory=dict)
     node_counters: dict[tuple[int, str], int] = field(default_factory=dict)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.link.signing import refusal_text
 from companion.adapters.mavlink.vehicle.absence import absence_text
 from companion.doctor.evidence import Evidence, Finding, FindingLevel
 
@@ -46,8 +47,7 @@ def _wire(evidence: Evidence) -> Iterator[Finding]:
     elif evidence.frames:
         yield Finding.ok("wire", f"{evidence.frames} frames, {damaged:.2%} damaged")
     if evidence.refused:
-        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(evidence.refused.items()))
-        yield Finding.fix("wire", f"signing refused {counts}: both ends need the same key")
+        yield Finding.fix("wire", refusal_text(evidence.refused))
 
 
 def _routing(evidence: Evidence) -> Iterator[Finding]:

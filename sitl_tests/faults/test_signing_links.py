@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import socket
 import time
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from pymavlink.generator.mavcrc import x25crc
 
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import NewerMessage
-from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.link.link import Link, open_link
 from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing, load_signing
 from companion.cli.doctor import diagnose
 from companion.doctor.evidence import FindingLevel
@@ -27,6 +28,7 @@ from companion.records import Notice, ParameterChange, RawChunk
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station, TurnedClock, Wire
+from sitl_tests.ports import free_port
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 NOW = 300_000_000_000_000 // 10  # some day, in 10 us
@@ -361,6 +363,22 @@ def test_the_doctor_names_refused_frames(key: bytes) -> None:
         assert texts == ["no autopilot heartbeat: frames arrive, all are refused: unsigned, wrong key (--sign-key)"]
     else:
         assert any(text.startswith("signing refused 6 unsigned") for text in texts)
+
+
+def test_a_node_without_a_key_is_heard_over_a_link_that_is_not_signed() -> None:
+    clock = TurnedClock()
+    signing = Signing(KEY, clock, NOW)
+    node, came = Other(key=None, component=200), {}
+    for ending in ("", ",unsigned"):
+        port = free_port(socket.SOCK_DGRAM)
+        link = open_link(f"udpin:127.0.0.1:{port}{ending}", clock, 0, signing)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(node.frame(), ("127.0.0.1", port))
+        came[ending] = link.read() is not None
+        link.close()
+    assert came == {"": False, ",unsigned": True}
+    (notice,) = signing.notices(clock.now)
+    assert notice.text == "signing refused 1 unsigned: spell a link whose nodes cannot sign LINK,unsigned"
 
 
 def test_over_a_signed_link_only_the_signed_station_sets_and_the_recording_replays_without_the_key() -> None:

@@ -69,6 +69,8 @@ def open_link(
 ) -> Link:
     """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
 
+    Where the spelling ends with ``,unsigned`` the key does not hold for this link.
+
     With ``may_be_down`` a serial device, a TCP server or a host's name that is not there is waited for, as if lost.
 
     Raises
@@ -78,7 +80,7 @@ def open_link(
     """
     address = parse_link(spelling)
     transport = _open_transport(address, may_be_down=may_be_down)
-    if signing is not None:
+    if signing is not None and address.signed:
         transport = SignedTransport(transport, signing, number)
     return Link(number, str(address), transport, clock, speaks_first=address.kind is LinkKind.UDP_CALL)
 

@@ -73,7 +73,7 @@ class SigningTime:
 
 
 class Signing:
-    """Key, time and known streams, shared by all links of the service.
+    """Key, time and known streams, shared by all signed links of the service.
 
     ``secret`` is the key, 32 bytes. Our signing time begins at ``timestamp``, in 10 us. ``keeper`` gets twice a second
     what is to be kept over a restart; ``saved`` is what was kept: its streams go on behind it, and new ones begin
@@ -186,9 +186,15 @@ class Signing:
         fresh = self.refused - self._reported
         if fresh and self._warnings.take(now_host_ns):
             self._reported = Counter(self.refused)
-            parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
-            notices.append(Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns))
+            notices.append(Notice(Severity.WARNING, refusal_text(fresh), now_host_ns))
         return notices
+
+
+def refusal_text(refused: Mapping[Refusal, int]) -> str:
+    """The sentence about frames that were refused, by reason."""
+    counts = ", ".join(f"{count} {reason}" for reason, count in sorted(refused.items()))
+    advice = ": spell a link whose nodes cannot sign LINK,unsigned" if Refusal.UNSIGNED in refused else ""
+    return f"signing refused {counts}{advice}"
 
 
 def _stamp_of(frame: bytes) -> tuple[StreamKey, int]:
