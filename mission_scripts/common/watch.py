@@ -43,8 +43,8 @@ _ON_GROUND = 1  # MAV_LANDED_STATE_ON_GROUND (MAVLink common.xml)
 class Range:
     """One DISTANCE_SENSOR of the companion, with what the autopilot believed of itself when it came.
 
-    ``sigma_m`` is NaN where nobody told it. ``trusted`` means a distance inside its own limits with a quality that
-    says so; what it is then compared with is the mission's business.
+    ``sigma_m`` is NaN where nobody told it, ``least_m`` the least distance that can be told. ``trusted`` means a
+    distance inside its own limits with a quality that says so; what it is then compared with is the mission's business.
     """
 
     at_s: float
@@ -54,6 +54,7 @@ class Range:
     height_m: float
     place: Place
     tilt_rad: float
+    least_m: float = 0.0
 
 
 class Watch:
@@ -116,7 +117,7 @@ class Watch:
         attitude = self._fields("ATTITUDE")
         tilt = math.acos(math.cos(attitude.get("roll", 0.0)) * math.cos(attitude.get("pitch", 0.0)))
         trusted = least <= distance <= most and fields["signal_quality"] != _NO_RANGE_QUALITY
-        return Range(now_s, distance, sigma, trusted, *self._then(int(fields["time_boot_ms"])), tilt)
+        return Range(now_s, distance, sigma, trusted, *self._then(int(fields["time_boot_ms"])), tilt, least)
 
     def _then(self, boot_ms: int) -> tuple[float, Place]:
         """Height and place at an exposure, carried there from the newest position: both come on their own time."""

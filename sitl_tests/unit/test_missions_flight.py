@@ -275,6 +275,28 @@ def test_a_landing_is_over_where_the_autopilot_says_that_it_stands() -> None:
     assert looked == [(False, False), (False, True)], "it still is armed"
 
 
+@pytest.mark.parametrize(("height_m", "land", "ends"), [
+    (45.0, True, True), (35.0, True, True), (32.0, True, False), (45.0, False, False),
+])  # fmt: skip
+def test_a_landing_is_watched_below_the_decision_height_until_it_is_committed(
+    height_m: float, land: bool, ends: bool
+) -> None:
+    """The field is 30 m above home, the decision 20 m above the field: until there all was well."""
+    flight, _ = engaged(flying(height_m=height_m))
+    lander = _lander(flight, land=land)
+    heard(flight.watch, "MISSION_CURRENT", seq=3)
+    lander._decided = True
+    flight.wait = lambda what, until, timeout_s: until()  # its ranges have fallen silent
+    if ends:
+        with pytest.raises(Aborted, match="range stale"):
+            lander._until_landed({1: "to the initial point"})
+    elif land:
+        lander._until_landed({1: "to the initial point"})
+    else:
+        lander._look(3)
+    assert lander.committed is (height_m < 33.0)
+
+
 def test_terrain_is_carried_to_the_height_of_the_range() -> None:
     """A report at 60 m says 45 m; the range came 3 m lower."""
     watch = flying(height_m=60.0)
