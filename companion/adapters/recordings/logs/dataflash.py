@@ -60,6 +60,17 @@ class _Format:
         """Whether the first field is the boot time, us."""
         return self.fields[0] == "TimeUS" and self.letters[0] == "Q"
 
+    @property
+    def layout(self) -> np.dtype[Any]:
+        """Fields as numpy has them."""
+        rows = zip(self.fields, self.letters, strict=True)
+        return np.dtype([(field, _LETTERS[letter][0]) for field, letter in rows])
+
+    @property
+    def fits(self) -> bool:
+        """Whether the fields are as long as the message is said to be."""
+        return self.layout.itemsize == self.length - 3
+
     def has(self, needed: tuple[str, ...]) -> bool:
         """Whether these fields are there, ``Name`` as a text and all others as numbers."""
         letters = dict(zip(self.fields, self.letters, strict=True))
@@ -71,7 +82,8 @@ class DataflashLog:
 
     ``skipped_bytes`` lie inside the log and belong to no message; ``cut_bytes`` are of the incomplete message at the
     end. Messages whose ``TimeUS`` leaps ahead are left out and counted in ``leaps``, those whose ``SampleUS`` does, as
-    they are taken, in ``sample_leaps``.
+    they are taken, in ``sample_leaps``. Kinds of messages whose fields are not as long as they are said to be are named
+    in ``misfits`` and passed over.
 
     Raises
     ------
@@ -99,6 +111,11 @@ class DataflashLog:
         self._sample_leaps: dict[str, int] = {}
 
     @property
+    def misfits(self) -> list[str]:
+        """Names of the kinds of messages whose format contradicts itself."""
+        return [entry.name for entry in self._formats.values() if not entry.fits]
+
+    @property
     def sample_leaps(self) -> int:
         """Messages taken so far that were left out because their sample is said to be of long after them."""
         return sum(self._sample_leaps.values())
@@ -111,7 +128,7 @@ class DataflashLog:
         Integers and floats keep their width, scaled fields become float64 in their unit, texts bytes.
         """
         for number, entry in self._formats.items():
-            if entry.name == name and entry.has(needed):
+            if entry.name == name and entry.fits and entry.has(needed):
                 table = self._table(number, entry)
                 if {"TimeUS", "SampleUS"} <= set(entry.fields):
                     ahead = as_stamps(table["SampleUS"]) > as_stamps(table["TimeUS"]) + AHEAD_US
@@ -124,18 +141,12 @@ class DataflashLog:
 
     def _table(self, number: int, entry: _Format) -> Any:
         starts = self._starts[self._types == number] + 3
-        dtype = np.dtype(
-            [(field, _LETTERS[letter][0]) for field, letter in zip(entry.fields, entry.letters, strict=True)]
-        )
-        if dtype.itemsize != entry.length - 3:
-            raise RecordingError(
-                f"{self.path}: message {entry.name} has {entry.length - 3} bytes, not {dtype.itemsize}"
-            )
+        dtype = entry.layout
         return self._data[starts[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
 
     def _drop_leaps(self) -> int:
         """Leave out messages whose time is far ahead of their neighbours'; gives their number."""
-        timed = [number for number, entry in self._formats.items() if entry.begins_with_time]
+        timed = [number for number, entry in self._formats.items() if entry.fits and entry.begins_with_time]
         places = np.flatnonzero(np.isin(self._types, timed))
         t_us = self._data[self._starts[places][:, None] + np.arange(3, 11)].view("<u8")[:, 0]
         ahead = places[ahead_of_neighbours(as_stamps(t_us))]
@@ -153,7 +164,9 @@ class DataflashLog:
             fields = tuple(columns.split(","))
             plain = all(fields) and len(set(fields)) == len(fields) == len(letters)
             if length > 3 and plain and set(letters) <= _LETTERS.keys():
-                formats.setdefault(number, _Format(name, length, letters, fields))
+                entry = _Format(name, length, letters, fields)
+                if number not in formats or (entry.fits and not formats[number].fits):
+                    formats[number] = entry
         return formats
 
 
