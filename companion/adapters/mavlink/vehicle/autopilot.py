@@ -100,7 +100,7 @@ class MavlinkAutopilot:
                 link.senders.guarded = frozenset(self.decoder.mapping.clocks)
         self._listener = listener
         self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
-        self._sender = ComponentSender(self._links, self.component, settings.component_id, clock)
+        self._sender = ComponentSender(self._links, self.component, settings, clock)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
         self._integer_parameters: set[str] = set()
