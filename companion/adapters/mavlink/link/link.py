@@ -42,6 +42,11 @@ class Link:
         """Who has which id, where many can reach this link."""
         return getattr(self._transport, "senders", None)
 
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait for a slow line; a datagram never waits."""
+        return bool(getattr(self._transport, "busy", False))
+
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while the connection is down."""
         return self._transport.fileno()

@@ -225,6 +225,11 @@ class SignedTransport:
         """Senders of the inner transport, where many can reach it."""
         return getattr(self._inner, "senders", None)
 
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait in the inner transport."""
+        return bool(getattr(self._inner, "busy", False))
+
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while there is none."""
         return self._inner.fileno()

@@ -58,6 +58,11 @@ class _BufferedSocket:
         self.flush()
         return True
 
+    @property
+    def waits(self) -> bool:
+        """Whether something is kept for later."""
+        return bool(self._unsent)
+
     def flush(self) -> None:
         """Hand the kernel what it takes."""
         if self._unsent:
@@ -72,6 +77,11 @@ class _TcpTransport:
     """Connection of a client or a server, which read and write it alike."""
 
     _stream: _BufferedSocket | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait that the system could not take."""
+        return self._stream is not None and self._stream.waits
 
     def send(self, data: bytes) -> bool:
         """Send where connected."""

@@ -291,7 +291,7 @@ class MavlinkAutopilot:
                 self._sender.send(encode.heartbeat(self.health), number)
         if system is None:
             return
-        for message in self.component.due(now_host_ns):
+        for message in self.component.due(now_host_ns, busy=any(link.busy for link in self._links)):
             self._sender.send(message)
         if self._timesync.due(now_host_ns):  # answered by everyone who keeps a clock
             self._sender.send(mavlink.MAVLink_timesync_message(0, self._clock.now_ns()))
