@@ -15,6 +15,7 @@ _FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, 
 _LONGEST_CALL_NS = 3_000_000_000  # chosen: the system's own pauses between tries grow to a minute
 _GONE_MS = 5000  # chosen: without an answer so long, and a peer has vanished; a radio's pauses are shorter
 _KEEPALIVE_S = 1  # chosen: several questions before a silent peer is given up
+_UNDER_WAY = (0, errno.EINPROGRESS)  # by definition: of a call that does not wait, connect(2)
 _MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
 
 
@@ -136,8 +137,11 @@ class TcpClient(_TcpTransport):
                 return
             self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._calling.setblocking(False)
-            self._calling.connect_ex((address, self._port))
             self._called_host_ns = now_host_ns
+            if self._calling.connect_ex((address, self._port)) not in _UNDER_WAY:
+                self._calling.close()  # no way there, which a socket that never called does not tell later
+                self._calling = None
+                return
         calling = self._calling
         _, writable, _ = select.select([], [calling], [], 0)
         if not writable:
