@@ -32,6 +32,7 @@ _NO_RANGE_QUALITY = 1  # DISTANCE_SENSOR.signal_quality: invalid (MAVLink common
 _READY = (3, 4)  # MAV_STATE standby and active
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED (MAVLink common.xml)
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK (MAVLink common.xml)
+_UNKNOWN_HEADING = 65_535  # UINT16_MAX: GLOBAL_POSITION_INT's "unknown" (MAVLink common.xml)
 _UNKNOWN_COVARIANCE = 255  # UINT8_MAX (MAVLink common.xml)
 _RECENT_S, _LANDED_S = 2.0, 3.0
 _MOST_RANGES = 20_000  # bound of memory: half an hour at 10 Hz
@@ -213,8 +214,11 @@ class Watch:
 
     @property
     def heading_deg(self) -> float:
-        """Heading, clockwise from north."""
-        return float(self._fields("GLOBAL_POSITION_INT").get("hdg", 0)) * 0.01
+        """Heading, clockwise from north; the attitude's where the position comes without one."""
+        heading_cdeg = self._fields("GLOBAL_POSITION_INT").get("hdg", _UNKNOWN_HEADING)
+        if heading_cdeg == _UNKNOWN_HEADING:
+            return math.degrees(float(self._fields("ATTITUDE").get("yaw", 0.0))) % 360.0
+        return float(heading_cdeg) * 0.01
 
     @property
     def battery(self) -> float | None:

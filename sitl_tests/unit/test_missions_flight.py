@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import types
 from typing import Any
@@ -295,6 +296,15 @@ def test_a_landing_is_watched_below_the_decision_height_until_it_is_committed(
     else:
         lander._look(3)
     assert lander.committed is (height_m < 33.0)
+
+
+@pytest.mark.parametrize(("hdg", "heading_deg"), [(9_000, 90.0), (0, 0.0), (65_535, 270.0)])
+def test_an_unknown_heading_is_that_of_the_attitude(hdg: int, heading_deg: float) -> None:
+    """655.35 degrees were flown as a bearing of 295."""
+    watch = flying()
+    heard(watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=60_000, hdg=hdg)
+    heard(watch, "ATTITUDE", roll=0.0, pitch=0.0, yaw=-math.pi / 2)
+    assert watch.heading_deg == pytest.approx(heading_deg)
 
 
 def test_terrain_is_carried_to_the_height_of_the_range() -> None:
