@@ -3,7 +3,9 @@
 The aircraft flies from the initial point down a slope toward the aim point. From the gate down the published range must
 be there, trusted, without jumps, and in agreement with the height above ground that the autopilot believes; otherwise
 the script orders a go-around (the mission's own climb-out), and RTL if the aircraft does not climb. Without ``--land``
-it ends with a low pass and a climb-out at the decision height, which is what to fly first.
+it ends with a low pass and a climb-out at the decision height, which is what to fly first. With ``--land`` a range that
+is stale, not trusted or jumping ends the approach below the decision height too, down to 3 m, but for ranges that end
+because the ground has come nearer than can be measured.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="height of the ground above home; the other heights of the approach are above this ground",
     )  # fmt: skip
     parser.add_argument("--terrain", action="store_true", help="expect TERRAIN_REPORT's height instead of home's")
-    parser.add_argument("--land", action="store_true", help="land after the decision height")
+    parser.add_argument("--land", action="store_true", help="land, the ranges watched down to 3 m above the ground")
     parser.add_argument("--stale", type=seconds, default=base.stale_s, metavar="S", help="silence that ends it")
     parser.add_argument("--blind", type=seconds, default=base.blind_s, metavar="S", help="without trusted range")
     parser.add_argument("--jump", type=metres, default=base.jump_m, metavar="M", help="that ends it")
@@ -140,29 +142,33 @@ class Lander:
         flight.say(f"{names[1]}, then down to land (item {self._final})")
 
         def down() -> bool:
-            self._look(watch.item)
             low = watch.height_m - flight.options.ground < _ON_GROUND_M
             if self.descending and (low or watch.on_ground):
                 self.committed = True  # no order from here on: it would start the motor on the ground
                 flight.guard.mode = None  # the autopilot disarms by itself
+            self._look(watch.item)
             return self.committed and not watch.armed
 
         flight.wait("landing", down, 400.0)
 
     def _look(self, item: int) -> None:
-        """Feed the monitor, and act on it below the gate; at the decision height say how it stands."""
+        """Feed the monitor, and act on it below the gate; at the decision height say how it stands.
+
+        A landing goes on being watched from there, until it is committed.
+        """
         watch, options = self._flight.watch, self._flight.options
         for entry in watch.ranges_since(self._from_s):
             self._from_s = math.nextafter(entry.at_s, math.inf)
             self._monitor.take(entry)
         above_m = watch.height_m - options.ground
-        if self._decided or item not in (self._final, self._out) or above_m > options.gate:
+        landing = bool(options.land) and item == self._final and not self.committed
+        if (self._decided and not landing) or item not in (self._final, self._out) or above_m > options.gate:
             return
-        trouble = self._monitor.trouble(time.monotonic())
+        trouble = self._monitor.trouble(time.monotonic(), low=self._decided)
         if trouble and item == self._final:
             raise Aborted(trouble)
         # a waypoint counts as reached some way before it: a low pass may turn up before it is quite down
-        if above_m <= options.decision + 1.0 or item == self._out:
+        if not self._decided and (above_m <= options.decision + 1.0 or item == self._out):
             self._decided = True
             verdict = trouble or f"range good, {self._monitor.apart_m[-1]:+.2f} m from what is expected"
             self._flight.say(f"decision height ({above_m:.0f} m): {verdict}")

@@ -69,7 +69,7 @@ def execute(options: argparse.Namespace) -> int:
     clock = MonotonicClock()
     signing = None if options.sign_key is None else load_signing(options.sign_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(options.connect)]
-    examination = Examination(links, clock, airframe, settings, options.seconds)
+    examination = Examination(links, clock, airframe, settings, options.seconds, signing=signing)
     try:
         print(f"listening for {options.seconds:g} s ...", file=sys.stderr)
         while not examination.over:

@@ -58,7 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what fires the cameras: " + "; ".join((*triggers.SPELLINGS, "sim:FOLDER")),
     )
     parser.add_argument("--record-images", action="store_true", help="record every image too (PNG, lossless)")
-    parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
+    parser.add_argument(
+        "--sign-key", type=Path, metavar="FILE",
+        help="sign what is sent, accept only what is signed; a link whose wing nodes cannot sign is LINK,unsigned",
+    )  # fmt: skip
     parser.add_argument("--for", type=seconds, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument(
         "--no-standby", action="store_true", help="no second inertial process that waits to take over (saves 180 MB)"

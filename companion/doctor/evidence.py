@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.signing import Refusal
 from companion.core.tracking.clipping import at_limit
 from companion.core.tracking.streams import channel_ranges
 from companion.evaluation.plan_outcomes import PlanOutcomes
@@ -98,6 +99,7 @@ class Evidence:
     much each has grown while it was heard. ``clipped`` counts the samples at their sensor's limits and
     all of them; ``autopilot_clips`` are the sums of VIBRATION's three counters of clipped samples, in order.
     ``realtime`` is whether this user may take a real-time priority, None where that is not known.
+    ``refused`` counts the frames that signing did not let in, by reason.
     ``buffer_shortfall`` are the bytes that may wait in a link's UDP socket and those that were asked for, None where
     they are granted or no link has one.
     """
@@ -125,6 +127,7 @@ class Evidence:
     frames: int = 0
     crc_errors: int = 0
     skipped_bytes: int = 0
+    refused: Counter[Refusal] = field(default_factory=Counter)
     serial_baud: dict[str, int] = field(default_factory=dict)
     link_components: dict[str, set[int]] = field(default_factory=dict)
     node_counters: dict[tuple[int, str], int] = field(default_factory=dict)

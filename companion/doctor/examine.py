@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from companion.adapters.mavlink.component.component import OnboardComponent
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.decode.message_records import Heard, parameter_value
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.link.signing import Signing
 from companion.adapters.mavlink.link.udp import buffer_shortfall
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.logs.tlog import TlogRecording
@@ -44,7 +48,7 @@ class Examination:
     """A live vehicle, listened to for a while. ``run_once`` does one pass, so that tests can step it by hand.
 
     Rates are taken over the last 60 % of the time: the first part is spent on asking for them. ``each`` is shown
-    every record, afterwards too.
+    every record, afterwards too. ``signing`` is that of the links, where they are signed.
     """
 
     def __init__(
@@ -55,10 +59,18 @@ class Examination:
         settings: Settings,
         seconds: float,
         each: Callable[[Record], None] | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._each = each
-        needed = tuple(VEHICLE_PARAMETERS)
-        self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=needed)
+        self.pilot = MavlinkAutopilot(
+            links,
+            airframe,
+            settings,
+            clock,
+            listener=self._hear,
+            component=OnboardComponent(ParameterServer(settings), signing=signing),
+            needed=tuple(VEHICLE_PARAMETERS),
+        )
         self._evidence = Evidence(airframe, settings, live=True, seconds=seconds)
         self._links = list(links)
         self._spelling = {link.number: link.spelling for link in links}
@@ -92,6 +104,8 @@ class Examination:
         has_udp = any(link.spelling.startswith("udp") for link in self._links)
         evidence.buffer_shortfall = buffer_shortfall() if has_udp else None
         evidence.twice = self.pilot.component.identity.foreign
+        signing = self.pilot.component.signing
+        evidence.refused = Counter() if signing is None else Counter(signing.refused)
         if counted_s > 0:
             evidence.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}
         for clock in {evidence.airframe.sensor(station).source.clock for station in Station} - {ClockName.HOST}:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.link.signing import refusal_text
 from companion.adapters.mavlink.vehicle.absence import absence_text
 from companion.doctor.evidence import Evidence, Finding, FindingLevel
 
@@ -21,7 +22,8 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("link", FindingLevel.UNKNOWN, text)
         return
     if pilot is None:
-        yield Finding.fix("link", absence_text(evidence.beats, junk=bool(evidence.skipped_bytes)))
+        text = absence_text(evidence.beats, junk=bool(evidence.skipped_bytes), refused=evidence.refused)
+        yield Finding.fix("link", text)
         return
     rate_hz = pilot.count / evidence.seconds if evidence.seconds else 0.0
     names = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: " ArduPilot", mavlink.MAV_AUTOPILOT_PX4: " PX4"}
@@ -44,6 +46,8 @@ def _wire(evidence: Evidence) -> Iterator[Finding]:
         yield Finding.fix("wire", text)
     elif evidence.frames:
         yield Finding.ok("wire", f"{evidence.frames} frames, {damaged:.2%} damaged")
+    if evidence.refused:
+        yield Finding.fix("wire", refusal_text(evidence.refused))
 
 
 def _routing(evidence: Evidence) -> Iterator[Finding]:

@@ -141,6 +141,6 @@ def _other_senders(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _echoes_us(evidence: Evidence) -> bool:
-    """The autopilot reports its rangefinders with the same message; with our own type it repeats ours."""
-    kind = evidence.parameter("RNGFND1_TYPE")
+    """The autopilot reports its rangefinders with the same message; that which takes ours repeats them."""
+    kind = evidence.parameter(f"RNGFND{_our_rangefinder(evidence)}_TYPE")
     return kind is None or kind[1] == _MAVLINK_RANGEFINDER

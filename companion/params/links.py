@@ -2,11 +2,13 @@
 
 Written as pymavlink's mavutil does: ``udpin:0.0.0.0:14550``, ``udpout:host:port``, ``tcp:host:port``,
 ``tcpin:host:port``, ``/dev/ttyAMA0,921600``. MAVSDK's spelling (``udpin://0.0.0.0:14550``, ``tcpout://host:port``,
-``serial:///dev/ttyAMA0:921600``) means the same and is taken everywhere too.
+``serial:///dev/ttyAMA0:921600``) means the same and is taken everywhere too. Behind either, ``,unsigned`` says that
+the other side of this link has no signing key: ``/dev/ttyUSB0,921600,unsigned``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from dataclasses import dataclass
 
@@ -16,6 +18,7 @@ _LAST_PORT = 65535  # by definition: two bytes of a header (RFC 768)
 DEFAULT_BAUD = 115200
 """Bits per second of a serial device whose rate is left out (a convention of pymavlink's)."""
 
+_UNSIGNED = ",unsigned"  # ends a spelling (choice)
 _SPELLINGS = (
     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device such as /dev/ttyAMA0,921600"
 )
@@ -39,12 +42,13 @@ _MAVSDK = {LinkKind.TCP_CALL: "tcpout"}
 class LinkAddress:
     """Where a link leads: ``host`` and ``port``, or for a serial device its path and its bits per second.
 
-    ``str()`` gives mavutil's spelling.
+    ``str()`` gives mavutil's spelling. ``signed`` is whether a signing key, where there is one, holds for this link.
     """
 
     kind: LinkKind
     host: str
     port: int
+    signed: bool = True
 
     def __str__(self) -> str:
         if self.kind is LinkKind.SERIAL:
@@ -65,6 +69,8 @@ def parse_link(spelling: str) -> LinkAddress:
     LinkError
         It is neither; the message shows how it is written.
     """
+    if spelling.endswith(_UNSIGNED):
+        return dataclasses.replace(parse_link(spelling.removesuffix(_UNSIGNED)), signed=False)
     if spelling.startswith(("/", "./")):
         return _serial(spelling, *spelling.partition(","))
     scheme, _, rest = spelling.partition(":")

@@ -60,7 +60,8 @@ class VehicleState:
     """The autopilot's own view of the flight; what it does not tell is None.
 
     ``velocity_ned_mps`` is over ground: north, east, down, by its navigation filter; ``velocity_sigma_mps`` is what the
-    satellite receiver behind it states of itself.
+    satellite receiver behind it states of itself. ``air_host_ns`` is when airspeed, climb and throttle were received,
+    where they came by themselves; None: with the attitude.
     """
 
     t_boot_ns: int
@@ -75,6 +76,7 @@ class VehicleState:
     on_ground: bool | None = None
     velocity_ned_mps: tuple[float, float, float] | None = None
     velocity_sigma_mps: float | None = None
+    air_host_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

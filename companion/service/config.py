@@ -20,8 +20,9 @@ class ServiceConfig:
     inside the process that uses the device; with :class:`companion.adapters.triggers.mavlink.MavlinkTrigger` the
     autopilot fires. ``recording`` is the MCAP to write, and ``recording_keep_bytes`` what all recordings of its name
     may take together, None for no limit. ``parameters`` is the file that keeps what a ground station sets, which
-    ``settings`` has in already. With ``signing_key`` only signed frames come in, and all that go out are signed.
-    ``standby`` keeps a second inertial process loaded and compiled, to take over when the first dies.
+    ``settings`` has in already. With ``signing_key`` only signed frames come in, and all that go out are signed, but
+    those of links that end with ``,unsigned``. ``standby`` keeps a second inertial process loaded and compiled, to take
+    over when the first dies.
     """
 
     airframe: Airframe

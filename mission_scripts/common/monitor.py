@@ -10,6 +10,7 @@ from mission_scripts.common.watch import Range
 
 _SIGMAS = 4.0  # of a range: more is a contradiction
 _BANKED_RAD = 0.25
+_ENDS_M = 3.0  # above the least distance: what a landing sinks in a usual ``blind_s`` (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ class RangeMonitor:
         self._last: tuple[Range, float] | None = None
         self._jump = self._apart = ""
         self._jumped_s = -math.inf
+        self._ends = False  # the newest trusted range is about as near as one can be
         self.apart_m: list[float] = []
 
     def take(self, entry: Range) -> None:
@@ -57,7 +59,7 @@ class RangeMonitor:
         self._newest_s = entry.at_s
         if not entry.trusted:
             return
-        self._trusted_s = entry.at_s
+        self._trusted_s, self._ends = entry.at_s, entry.distance_m < entry.least_m + _ENDS_M
         if entry.tilt_rad > _BANKED_RAD:
             self._last = None
             return  # in a turn a slightly late attitude is worth metres
@@ -72,14 +74,18 @@ class RangeMonitor:
         self._apart = f"reads {entry.distance_m:.1f} m where {expected_m:.1f} m is expected" if far else ""
         self._last = (entry, expected_m)
 
-    def trouble(self, now_s: float) -> str:
-        """Why the range is not to be relied on at this moment; empty if it is."""
+    def trouble(self, now_s: float, *, low: bool = False) -> str:
+        """Why the range is not to be relied on at this moment; empty if it is.
+
+        With ``low``, just above the ground, what is expected counts no more (a barometer's drift is worth metres), and
+        ranges may end where they have come near the least distance that can be told.
+        """
         if now_s - self._newest_s > self._tolerance.stale_s:
             return f"range stale ({_seconds(now_s - self._newest_s)})"
-        if now_s - self._trusted_s > self._tolerance.blind_s:
+        if now_s - self._trusted_s > self._tolerance.blind_s and not (low and self._ends):
             return f"no trusted range ({_seconds(now_s - self._trusted_s)})"
         jumped = now_s - self._jumped_s < self._tolerance.blind_s
-        return self._jump if jumped else self._apart
+        return self._jump if jumped else "" if low else self._apart
 
     def _compare(self, entry: Range, expected_m: float) -> str:
         """A jump is a change of the range that the change of the expected distance does not explain."""

@@ -32,6 +32,7 @@ _NO_RANGE_QUALITY = 1  # DISTANCE_SENSOR.signal_quality: invalid (MAVLink common
 _READY = (3, 4)  # MAV_STATE standby and active
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED (MAVLink common.xml)
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK (MAVLink common.xml)
+_UNKNOWN_HEADING = 65_535  # UINT16_MAX: GLOBAL_POSITION_INT's "unknown" (MAVLink common.xml)
 _UNKNOWN_COVARIANCE = 255  # UINT8_MAX (MAVLink common.xml)
 _RECENT_S, _LANDED_S = 2.0, 3.0
 _MOST_RANGES = 20_000  # bound of memory: half an hour at 10 Hz
@@ -43,8 +44,8 @@ _ON_GROUND = 1  # MAV_LANDED_STATE_ON_GROUND (MAVLink common.xml)
 class Range:
     """One DISTANCE_SENSOR of the companion, with what the autopilot believed of itself when it came.
 
-    ``sigma_m`` is NaN where nobody told it. ``trusted`` means a distance inside its own limits with a quality that
-    says so; what it is then compared with is the mission's business.
+    ``sigma_m`` is NaN where nobody told it, ``least_m`` the least distance that can be told. ``trusted`` means a
+    distance inside its own limits with a quality that says so; what it is then compared with is the mission's business.
     """
 
     at_s: float
@@ -54,6 +55,7 @@ class Range:
     height_m: float
     place: Place
     tilt_rad: float
+    least_m: float = 0.0
 
 
 class Watch:
@@ -116,7 +118,7 @@ class Watch:
         attitude = self._fields("ATTITUDE")
         tilt = math.acos(math.cos(attitude.get("roll", 0.0)) * math.cos(attitude.get("pitch", 0.0)))
         trusted = least <= distance <= most and fields["signal_quality"] != _NO_RANGE_QUALITY
-        return Range(now_s, distance, sigma, trusted, *self._then(int(fields["time_boot_ms"])), tilt)
+        return Range(now_s, distance, sigma, trusted, *self._then(int(fields["time_boot_ms"])), tilt, least)
 
     def _then(self, boot_ms: int) -> tuple[float, Place]:
         """Height and place at an exposure, carried there from the newest position: both come on their own time."""
@@ -212,8 +214,11 @@ class Watch:
 
     @property
     def heading_deg(self) -> float:
-        """Heading, clockwise from north."""
-        return float(self._fields("GLOBAL_POSITION_INT").get("hdg", 0)) * 0.01
+        """Heading, clockwise from north; the attitude's where the position comes without one."""
+        heading_cdeg = self._fields("GLOBAL_POSITION_INT").get("hdg", _UNKNOWN_HEADING)
+        if heading_cdeg == _UNKNOWN_HEADING:
+            return math.degrees(float(self._fields("ATTITUDE").get("yaw", 0.0))) % 360.0
+        return float(heading_cdeg) * 0.01
 
     @property
     def battery(self) -> float | None:

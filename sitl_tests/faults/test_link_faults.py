@@ -354,6 +354,23 @@ def test_a_client_that_vanished_makes_room_in_seconds(held: Held) -> None:
         assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) <= 2
 
 
+def test_a_network_that_is_away_is_asked_ever_less_often(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No TCP call leads to a broadcast address: it fails at once, and is no connection."""
+    client, calls = TcpClient("255.255.255.255", 5760, may_be_down=True), list[int]()
+    held.stack.callback(client.close)
+    make = socket.socket
+
+    def counted(*words: int) -> socket.socket:
+        calls.append(now_ns)
+        return make(*words)
+
+    monkeypatch.setattr("companion.adapters.mavlink.link.tcp.socket.socket", counted)
+    for now_ns in range(0, 60_000_000_000, 50_000_000):
+        client.receive(10, now_ns)
+        assert client.fileno() < 0
+    assert 8 <= len(calls) <= 14, "0.25 s, then twice as long each time, up to 8 s"
+
+
 def test_a_call_that_nobody_takes_is_given_up_and_made_again(held: Held) -> None:
     """The system alone tries again after one second, three, seven and so on up to a minute."""
     server = held.listener()

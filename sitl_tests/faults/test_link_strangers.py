@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.link.datagrams import GUARDED_FRAMES
 from companion.adapters.mavlink.link.link import Link
-from companion.adapters.mavlink.link.signing import SignedTransport, Signing
+from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.params.files import load_airframe
@@ -77,9 +77,10 @@ class Port:
         self.clock = TurnedClock()
         self.udp = UdpIn("127.0.0.1", 0)
         self.at = ("127.0.0.1", self.udp.port)
-        transport = SignedTransport(self.udp, Signing(KEY, self.clock, NOW), 0) if signing else self.udp
-        link = Link(0, "udpin", transport, self.clock)
-        self.pilot = MavlinkAutopilot([link], load_airframe("nadir-2m"), Settings(), self.clock)
+        self.signing = Signing(KEY, self.clock, NOW) if signing else None
+        transport = self.udp if self.signing is None else SignedTransport(self.udp, self.signing, 0)
+        self.link = Link(0, "udpin", transport, self.clock)
+        self.pilot = MavlinkAutopilot([self.link], load_airframe("nadir-2m"), Settings(), self.clock)
         self.records: list[Record] = []
         self.talkers: list[Talker] = []
 
@@ -279,6 +280,24 @@ def test_a_node_that_restarts_once_is_no_second_sender() -> None:
         assert not [text for text in port.texts() if "two senders" in text]
     finally:
         port.close()
+
+
+def test_no_frame_is_lost_where_a_second_route_is_the_faster(port: Port, key: bytes | None) -> None:
+    """Each frame comes by both routes; the holder's own arrives last, after a second in which it was the first."""
+    pilot, other_route, came = port.talker(PILOT, key=key), port.talker(66), 0
+    for number in range(200):
+        frame = pilot.sample_frame(10_000 * number)
+        for route in (pilot, other_route) if number < 100 else (other_route, pilot):
+            route.send(frame)
+            chunk = port.link.read()
+            came += chunk is not None and chunk.data == frame
+        port.clock.now += 10 * MS
+    assert came == 200
+    if port.signing is not None:
+        assert not port.signing.refused
+        pilot.send(frame)
+        assert port.link.read() is None
+        assert port.signing.refused == {Refusal.REPLAYED: 1}, "what the holder sends again is no copy by another route"
 
 
 def test_a_routed_copy_is_refused_without_a_warning() -> None:

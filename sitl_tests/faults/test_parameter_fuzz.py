@@ -39,7 +39,7 @@ def test_no_bytes_break_our_component(messages: list[tuple[str, bytes, bool]]) -
             assert encode.sendable(answer)
             assert answer.pack(packer)
             sent += 1
-        component.events()
+        component.events(now)
     # a command gives two messages at once; the rest is paced, one at a time
     assert sent <= 4 * len(messages)
     in_force = component.parameters.settings

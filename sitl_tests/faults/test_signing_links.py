@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import socket
 import time
 from pathlib import Path
 
@@ -15,7 +16,11 @@ from pymavlink.generator.mavcrc import x25crc
 
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import NewerMessage
+from companion.adapters.mavlink.link.link import Link, open_link
 from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing, load_signing
+from companion.cli.doctor import diagnose
+from companion.doctor.evidence import FindingLevel
+from companion.doctor.examine import Examination
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -23,6 +28,7 @@ from companion.records import Notice, ParameterChange, RawChunk
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station, TurnedClock, Wire
+from sitl_tests.ports import free_port
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 NOW = 300_000_000_000_000 // 10  # some day, in 10 us
@@ -327,6 +333,52 @@ def test_a_stamp_file_of_an_earlier_version_is_read(key_file: Path) -> None:
     signing = load_signing(key_file, TurnedClock())
     assert signing.judge(Other(timestamp=NOW + 499 * SECOND).frame()) is Refusal.STALE
     assert signing.judge(Other(timestamp=NOW + 502 * SECOND).frame()) is None
+
+
+@pytest.mark.parametrize(("key", "reason"), [(OTHER, Refusal.WRONG_KEY), (None, Refusal.UNSIGNED)])
+def test_a_wrong_key_is_no_dead_cable(key: bytes | None, reason: Refusal) -> None:
+    air = Air()
+    signing = air.pilot.component.signing = Signing(KEY, air.clock, NOW)
+    air.pilot._links[0]._transport = SignedTransport(air.wire, signing, 0)
+    if key is not None:
+        air.beats.signing.secret_key, air.beats.signing.timestamp = key, NOW
+        air.beats.signing.sign_outgoing = True
+    texts = [record.text for record in air.run(12.0) if isinstance(record, Notice)]
+    assert f"no autopilot heartbeat: frames arrive, all are refused: {reason} (--sign-key)" in texts
+    assert any(text.startswith(f"signing refused 1 {reason}") for text in texts)
+    assert not any("nothing arrives" in text for text in texts)
+
+
+@pytest.mark.parametrize("key", [KEY, OTHER])
+def test_the_doctor_names_refused_frames(key: bytes) -> None:
+    ours, pilot, node = Ours(), Other(key=key), Other(key=None, component=200)
+    links = [Link(0, "memory", ours.transport, ours.clock)]
+    examination = Examination(links, ours.clock, load_airframe("nadir-2m"), Settings(), 3.0, signing=ours.signing)
+    while not examination.over:
+        ours.wire.inbox += pilot.frame() + node.frame()
+        ours.clock.now += S // 2
+        examination.run_once(0.0)
+    texts = [entry.text for entry in diagnose(examination.evidence()) if entry.level is FindingLevel.FIX]
+    if key == OTHER:
+        assert texts == ["no autopilot heartbeat: frames arrive, all are refused: unsigned, wrong key (--sign-key)"]
+    else:
+        assert any(text.startswith("signing refused 6 unsigned") for text in texts)
+
+
+def test_a_node_without_a_key_is_heard_over_a_link_that_is_not_signed() -> None:
+    clock = TurnedClock()
+    signing = Signing(KEY, clock, NOW)
+    node, came = Other(key=None, component=200), {}
+    for ending in ("", ",unsigned"):
+        port = free_port(socket.SOCK_DGRAM)
+        link = open_link(f"udpin:127.0.0.1:{port}{ending}", clock, 0, signing)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(node.frame(), ("127.0.0.1", port))
+        came[ending] = link.read() is not None
+        link.close()
+    assert came == {"": False, ",unsigned": True}
+    (notice,) = signing.notices(clock.now)
+    assert notice.text == "signing refused 1 unsigned: spell a link whose nodes cannot sign LINK,unsigned"
 
 
 def test_over_a_signed_link_only_the_signed_station_sets_and_the_recording_replays_without_the_key() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.cli.main import main
 from companion.cli.steps import setup_wing
@@ -131,18 +134,45 @@ def test_the_first_range_is_that_of_the_calibrated_airframe(
     squares: list[Any] = []
 
     def service_config(options: Any) -> Any:
-        flown.extend([options.airframe, *options.changes])
+        flown.extend([options.airframe, *options.changes, str(options.sign_key)])
         raise ConfigError("far enough")
 
     monkeypatch.setattr(setup_wing.calibrate, "execute", lambda options: squares.append(tuple(options.squares)))
     monkeypatch.setattr(setup_wing.run, "service_config", service_config)
     steps = ("--step", "range", *(("--step", "stereo") if calibrates else ()))
     eyes = ("--cameras", "oak:CAM_B,CAM_C", "--square-m", "0.03", "--squares", "7", "5", "--out", str(tmp_path))
-    steps += ("--set", "RNG_MAX=60", "--set", "SW_SYSID=7")
+    steps += ("--set", "RNG_MAX=60", "--set", "SW_SYSID=7", "--sign-key", "wing.key")
     assert main(["setup", "wing", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", *steps, *eyes]) == 1
     airframe = str(tmp_path / "stereo" / "airframe.toml") if calibrates else "nadir-2m"
-    assert flown == [airframe, "RNG_MAX=60", "SW_SYSID=7"]
+    assert flown == [airframe, "RNG_MAX=60", "SW_SYSID=7", "wing.key"]
     assert squares == ([(7, 5)] if calibrates else [])
+
+
+@pytest.mark.realtime
+def test_signed_links_have_their_key_on_the_bench_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An autopilot that signs with another key is named; without a key nothing is refused."""
+    key, port = tmp_path / "wing.key", free_port(socket.SOCK_DGRAM)
+    key.write_text("passphrase: ours")
+    key.chmod(0o600)
+    stranger = mavlink.MAVLink(None, 1, 1)
+    beating, ends = threading.Event(), time.monotonic() + 30.0
+
+    def beat() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not beating.wait(0.2) and time.monotonic() < ends:
+                message = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
+                sender.sendto(bytes(message.pack(stranger)), ("127.0.0.1", port))
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    try:
+        words = ("--connect", f"udpin:127.0.0.1:{port}", "--airframe", "nadir-2m", "--step", "nodes", "--for", "2")
+        assert main(["setup", "wing", *words, "--sign-key", str(key)]) != 0
+    finally:
+        beating.set()
+        thread.join()
+    said = capsys.readouterr()
+    assert "all are refused: unsigned" in said.out + said.err
 
 
 def until(true: Callable[[], bool], limit_s: float) -> None:

@@ -274,6 +274,14 @@ def test_a_lidar_that_looks_elsewhere_keeps_its_place(second: dict[str, float], 
     assert fixes(doctor.check_ranging(evidence)) == ({fix} if fix else set())
 
 
+@pytest.mark.parametrize(("kind", "is_rival"), [(10.0, False), (20.0, True)])
+def test_the_autopilots_copy_of_our_ranges_is_no_second_sender(kind: float, is_rival: bool) -> None:
+    """A lidar ahead on RNGFND1, and ours, or a second lidar, on RNGFND2: the autopilot reports both."""
+    second = {"RNGFND2_TYPE": kind, "RNGFND2_ORIENT": 25.0, "RNGFND2_MAX": 250.0}
+    evidence = evidence_of(parameters=LIDAR_AHEAD | second, range_senders=Counter({(1, 1, 25): 40, (1, 1, 0): 40}))
+    assert ("1/1 also sends DISTANCE_SENSOR" in texts(evidence, doctor.check_ranging)) is is_rival
+
+
 @pytest.mark.parametrize(
     ("axes", "expected_mrad"), [(Axis.Z, 0.47), (Axis.Z | Axis.Y, 0.26), (Axis.Z | Axis.P, 0.33), (Axis.ALL, 0.24)]
 )

@@ -47,6 +47,23 @@ def test_what_is_written_is_read_again_in_either_spelling(kind: LinkKind, number
     assert parse_link(str(address)) == parse_link(address.mavsdk_url) == address
 
 
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        "udpin:0.0.0.0:14550",
+        "udpin://0.0.0.0:14550",
+        "/dev/ttyUSB0,921600",
+        "/dev/ttyUSB0",
+        "serial:///dev/ttyUSB0:57600",
+    ],
+)
+def test_a_link_of_nodes_that_cannot_sign_says_so(spelling: str) -> None:
+    address = parse_link(f"{spelling},unsigned")
+    assert parse_link(spelling).signed
+    assert not address.signed
+    assert str(address) == str(parse_link(spelling))
+
+
 @pytest.mark.parametrize("spelling", ["udpin://14550", "tcp://:5760", "udpin://host:70000", "serial:///dev/ttyUSB0,x"])
 def test_a_wrong_spelling_names_what_was_written(spelling: str) -> None:
     with pytest.raises(LinkError, match=spelling):

@@ -394,6 +394,19 @@ def test_graphs_keep_their_rate() -> None:
     assert len(sigmas) in (7, 8)
 
 
+@pytest.mark.parametrize(("chosen", "first"), [(0.0, 1), (7.0, 7)])
+def test_a_calling_link_begins_with_the_system_that_is_set(chosen: float, first: int) -> None:
+    """A router on the other side learns from the first heartbeats who we are."""
+    clock, wire = TurnedClock(), Wire()
+    settings = Settings().replace("SW_SYSID", chosen)
+    link = Link(0, "udpout:memory", wire, clock, speaks_first=True)
+    pilot = MavlinkAutopilot([link], load_airframe("nadir-2m"), settings, clock)
+    list(pilot.poll(0.0))
+    (beat,) = mavlink.MAVLink(None).parse_buffer(wire.taken)
+    assert beat.get_type() == "HEARTBEAT"
+    assert beat.get_srcSystem() == first
+
+
 @pytest.mark.parametrize(("health", "state"), [(Health.ACTIVE, 4), (Health.CRITICAL, 5), (Health.STANDBY, 3)])
 def test_the_heartbeat_follows_the_services_health(health: Health, state: int) -> None:
     bench = Bench()

@@ -88,6 +88,14 @@ def test_alive_without_range_is_out_of_range_with_quality_one(record: CorrectedR
     assert (message.current_distance, message.signal_quality, message.covariance) == (20_001, 1, 255)
 
 
+def test_a_range_of_the_least_distance_is_one_in_whole_centimetres() -> None:
+    """4.35 m are 434.99999999999994 cm."""
+    for least_cm in range(50, 10_001):
+        least_m = least_cm / 100
+        message = encode.distance_sensor(a_range(least_m, sigma_m=0.01, orientation=0), least_m, 200, 0)
+        assert (message.current_distance, message.min_distance) == (least_cm, least_cm)
+
+
 def sectors(
     distance_m: Any, known_mask: Any, clear: Any, min_m: float = 4.0, max_m: float = 100.0, time_ns: int = 0
 ) -> ObstacleSectors:

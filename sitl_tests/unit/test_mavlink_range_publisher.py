@@ -89,6 +89,17 @@ def test_points_lie_where_the_sectors_are() -> None:
     assert (behind_left.x, behind_left.y) == pytest.approx((-30 * math.sqrt(0.5), -30 * math.sqrt(0.5)))
 
 
+@pytest.mark.parametrize("min_m", [0.5, 4.0, 4.35, 100.0])
+def test_points_that_are_nearer_than_the_least_distance_are_put_there(min_m: float) -> None:
+    """An autopilot passes over a point that is nearer than the message's least distance."""
+    circle = dataclasses.replace(obstacle_sectors(0, dict.fromkeys(range(72), 0.9 * min_m), 200.0), min_m=min_m)
+    points = [sent(message) for message in encode.obstacle_points(circle, 7)]
+    assert len(points) == 72
+    for point in points:
+        length_m = np.sqrt(np.float32(point.x) ** 2 + np.float32(point.y) ** 2, dtype=np.float32)
+        assert point.min_distance <= length_m < point.min_distance + 0.001
+
+
 def test_stamps_of_points_advance_and_follow_a_restart() -> None:
     outputs = RangePublisher(Settings(obstacles=2), 0)
     stamps = []
@@ -147,12 +158,59 @@ def test_a_range_of_a_pair_that_looks_aside_stays_as_it_was() -> None:
 
 def test_a_speed_that_was_told_before_the_exposure_moves_the_range_and_widens_its_sigma() -> None:
     """42 m, 0.5 s of sinking at 2 m/s; the speed may be 3 m/s off by now."""
-    outputs = RangePublisher(Settings(), 25)
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 25)
     outputs.note_motion(state(900 * MS, -2.0))
     record = dataclasses.replace(measured(1000 * MS), sigma_m=0.01)
     (message,) = outputs.messages(record, 0, 1500 * MS)
     assert sent(message).current_distance == 4100
     assert sent(message).covariance == 255, "150^2 cm^2: more than the field holds"
+
+
+@pytest.mark.parametrize(("range_m", "goes_out"), [(95.0, True), (70.0, True), (59.0, False)])
+def test_what_the_way_makes_too_vague_is_not_sent(range_m: float, goes_out: bool) -> None:
+    """0.6 s by airspeed alone: 1.8 m of sigma, 3 % of 60 m; what is too near to measure is sent all the same."""
+    outputs = RangePublisher(Settings(), 0)
+    for k in range(10):
+        outputs.note_motion(state(1000 * MS + 100 * k * MS, 0.0))
+    record = dataclasses.replace(measured(1100 * MS), orientation=0, range_m=range_m + 12.0)
+    (message,) = outputs.messages(record, 0, 1700 * MS)
+    assert (sent(message).signal_quality != encode.NO_RANGE_QUALITY) is goes_out
+    (circle,) = outputs.messages(obstacle_sectors(1100 * MS, {0: range_m + 12.0, 1: 9.0}), 0, 1700 * MS)
+    distances = sent(circle).distances
+    assert distances[4] == (round(100 * range_m) if goes_out else 65535)
+    assert distances[5] == 400
+
+
+def test_a_flare_keeps_its_ranges() -> None:
+    """5 m and 0.25 m of sigma after 0.6 s at the usual rate: 5 %, and of use."""
+    outputs = RangePublisher(Settings(), 25)
+    for k in range(14):
+        outputs.note_motion(state(1000 * MS + 50 * k * MS, -0.5))
+    record = dataclasses.replace(measured(1100 * MS), range_m=5.3, sigma_m=0.15)
+    (message,) = outputs.messages(record, 0, 1700 * MS)
+    assert sent(message).current_distance == 500
+
+
+def covariance_cm2(climb_told_ms: int) -> int | None:
+    """Covariance of a downward range sent at 3 s where attitudes come until then; None: no range is sent."""
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 25)
+    for at_ms in range(2700, 3000, 10):
+        state_of_then = state(at_ms * MS, -0.1)
+        outputs.note_motion(dataclasses.replace(state_of_then, air_host_ns=min(at_ms, climb_told_ms) * MS))
+    record = dataclasses.replace(measured(2970 * MS), range_m=100.0, sigma_m=0.01)
+    (message,) = outputs.messages(record, 0, 3000 * MS)
+    return None if sent(message).signal_quality == encode.NO_RANGE_QUALITY else int(sent(message).covariance)
+
+
+def test_attitudes_make_no_climb_younger_that_stopped() -> None:
+    """VFR_HUD ends, ATTITUDE goes on: the climb's sigma grows by 3 m/s^2, and after 2 s nothing is sent by it."""
+    fresh, older, old = covariance_cm2(2980), covariance_cm2(2750), covariance_cm2(1100)
+    assert fresh is not None
+    assert older is not None
+    assert fresh < 10
+    assert older == math.ceil(100**2 * (0.01**2 + 0.03**2 * (0.3**2 + 3.0**2) + (1.5 * 0.25**2) ** 2))
+    assert old == 255
+    assert covariance_cm2(950) is None
 
 
 @pytest.mark.parametrize("orientation", [0, 25])
@@ -181,7 +239,7 @@ def test_what_lies_ahead_is_moved_on_by_the_speed_towards_it(
     velocity_ned_mps: tuple[float, float, float] | None, metres_cm: int, sigma_m: float
 ) -> None:
     """42 m at the exposure, 0.6 s at 20 m/s of airspeed or, heading east, 24 over ground."""
-    outputs = RangePublisher(Settings(), 0)
+    outputs = RangePublisher(Settings(trust_ratio=0.2), 0)
     for k in range(10):
         flying = dataclasses.replace(state(1000 * MS + 100 * k * MS, 0.0), yaw_rad=math.pi / 2)
         outputs.note_motion(dataclasses.replace(flying, velocity_ned_mps=velocity_ned_mps))

@@ -59,6 +59,28 @@ def test_a_fast_autopilot_is_asked_once_for_each_message() -> None:
     assert keeper.delivered_hz[RAW] == pytest.approx(333, rel=0.02)
 
 
+@pytest.mark.parametrize("late_ms", [100, 350, 500, 1_000])
+@pytest.mark.parametrize("lost", [(), (0,), (1, 2)])
+def test_an_acknowledgement_is_that_of_its_own_message(late_ms: int, lost: tuple[int, ...]) -> None:
+    """Over a slow radio a request is repeated before it is acknowledged; HIGHRES_IMU is not to be had at all."""
+    keeper = RateKeeper({RAW: 333, HIGHRES: 333})
+    on_the_way: list[tuple[int, int]] = []
+    texts: list[str] = []
+    asked = itertools.count()
+    for now in range(1, 20 * S, 10 * MS):
+        while on_the_way and on_the_way[0][0] <= now:
+            keeper.acknowledged(on_the_way.pop(0)[1], now)
+        request = keeper.due(now)
+        if request is not None and next(asked) not in lost:
+            result = FAILED if request.message == HIGHRES else ACCEPTED
+            on_the_way.append((now + late_ms * MS, int(result)))
+        texts += [notice.text for notice in keeper.notices()]
+    assert texts
+    assert all(text.startswith("HIGHRES_IMU: autopilot cannot") for text in texts)
+    assert keeper._wanted[RAW].settled
+    assert not keeper._wanted[HIGHRES].settled
+
+
 def test_a_denied_rate_is_lowered_until_granted_and_the_loop_rate_is_told() -> None:
     keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(50)
     keeper.loop_rate(50)

@@ -122,6 +122,24 @@ def test_a_silent_source_joins_the_new_epoch_within_a_second() -> None:
     assert batches(stream(packed(mavlink.MAVLink_scaled_imu2_message(2_300, *(9 * [1]))), after_ns=S + MS))
 
 
+def test_a_boot_time_of_32_bits_that_wraps_is_no_reboot() -> None:
+    """After 49.7 days SCALED_IMU2 begins anew at 0; RAW_IMU and TIMESYNC have 64 bits."""
+    sources = {"root": Source("RAW_IMU", 1, ClockName.BOOT), "left": Source("SCALED_IMU2", 1, ClockName.BOOT)}
+    stream, wrap_ms = Stream(airframe(**sources)), 1 << 32
+    came: list[ImuBatch] = []
+    for t_ms in range(wrap_ms - 3000, wrap_ms + 60_000, 20):
+        raw = mavlink.MAVLink_raw_imu_message(1000 * t_ms, *(9 * [1]))
+        scaled = mavlink.MAVLink_scaled_imu2_message(t_ms % wrap_ms, *(9 * [1]))
+        records = stream(packed(raw), packed(scaled), after_ns=20 * MS)
+        came += batches(records)
+        assert len(batches(records)) == len(records)
+    for station in (Station.ROOT, Station.LEFT):
+        t_ns = np.concatenate([batch.t_ns for batch in came if batch.station is station])
+        assert np.diff(t_ns).tolist() == [20 * MS] * (len(t_ns) - 1)
+    reboot = [packed(mavlink.MAVLink_scaled_imu2_message(5_000 + k, *(9 * [1]))) for k in range(3)]
+    assert ClockRestart(ClockName.BOOT, stream.now + MS) in stream(*reboot), "a minute after the wrap"
+
+
 def test_flight_state_and_parameters_come_from_the_autopilot_alone() -> None:
     stream = Stream()
     attitude = mavlink.MAVLink_attitude_message(4000, 0.1, -0.2, 0.3, 0, 0, 0)

@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.recordings.mcap.codec import dumps, loads
 from companion.params.files import load_airframe
 from companion.records import RawChunk, VehicleState
 
@@ -50,6 +51,16 @@ def test_a_climb_of_long_ago_is_not_that_of_the_attitude(silent_ms: int, states:
     radio = Radio()
     radio.hear(10_000, beat(), AIR)
     assert len(radio.hear(10_000 + silent_ms, attitude(5_000))) == states
+
+
+def test_a_state_says_since_when_its_climb_is_known() -> None:
+    radio = Radio()
+    radio.hear(10_000, beat(), AIR)
+    (state,) = radio.hear(11_500, attitude(5_000))
+    assert (state.air_host_ns, state.received_host_ns) == (10_000 * MS, 11_500 * MS)
+    assert loads(VehicleState, dumps(VehicleState, state)) == state
+    before = dumps(VehicleState, state).replace(b', "air_host_ns": 10000000000', b"")
+    assert loads(VehicleState, before).air_host_ns is None, "a recording from before"
 
 
 @pytest.mark.parametrize(("climb_mps", "states"), [(-5.0, 1), (math.nan, 0)])

@@ -49,6 +49,24 @@ def test_a_good_descent_is_no_trouble() -> None:
         assert watched.trouble(0.1 * step + 0.05) == ""
 
 
+def test_just_above_the_ground_ranges_may_end_but_not_fail() -> None:
+    """From the least distance on nothing is trusted; a barometer that has drifted by 5 m says nothing there."""
+    for height_m, ends in ((6.5, True), (15.0, False)):
+        watched = monitor()
+        near = dataclasses.replace(a_range(0.0, height_m, height_m + 5.0), least_m=4.0)
+        watched.take(near)
+        assert "is expected" in watched.trouble(0.1)
+        assert watched.trouble(0.1, low=True) == ""
+        for step in range(1, 20):
+            watched.take(dataclasses.replace(near, at_s=0.1 * step, trusted=False))
+        assert ("no trusted range" in watched.trouble(1.9, low=True)) is not ends
+        assert "no trusted range" in watched.trouble(1.9)
+        assert "stale" in watched.trouble(3.0, low=True)
+        for at_s, distance_m in ((3.0, height_m), (3.1, height_m + 4.0)):
+            watched.take(dataclasses.replace(near, at_s=at_s, distance_m=distance_m))
+        assert "jumps" in watched.trouble(3.2, low=True)
+
+
 def test_silence_distrust_jump_and_disagreement_are_told_apart() -> None:
     watched = monitor()
     assert "never" in watched.trouble(0.0)

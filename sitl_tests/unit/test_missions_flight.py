@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import types
 from typing import Any
@@ -273,6 +274,37 @@ def test_a_landing_is_over_where_the_autopilot_says_that_it_stands() -> None:
     lander._look = lambda item: None  # type: ignore[method-assign]
     lander._until_landed({1: "to the initial point"})
     assert looked == [(False, False), (False, True)], "it still is armed"
+
+
+@pytest.mark.parametrize(("height_m", "land", "ends"), [
+    (45.0, True, True), (35.0, True, True), (32.0, True, False), (45.0, False, False),
+])  # fmt: skip
+def test_a_landing_is_watched_below_the_decision_height_until_it_is_committed(
+    height_m: float, land: bool, ends: bool
+) -> None:
+    """The field is 30 m above home, the decision 20 m above the field: until there all was well."""
+    flight, _ = engaged(flying(height_m=height_m))
+    lander = _lander(flight, land=land)
+    heard(flight.watch, "MISSION_CURRENT", seq=3)
+    lander._decided = True
+    flight.wait = lambda what, until, timeout_s: until()  # its ranges have fallen silent
+    if ends:
+        with pytest.raises(Aborted, match="range stale"):
+            lander._until_landed({1: "to the initial point"})
+    elif land:
+        lander._until_landed({1: "to the initial point"})
+    else:
+        lander._look(3)
+    assert lander.committed is (height_m < 33.0)
+
+
+@pytest.mark.parametrize(("hdg", "heading_deg"), [(9_000, 90.0), (0, 0.0), (65_535, 270.0)])
+def test_an_unknown_heading_is_that_of_the_attitude(hdg: int, heading_deg: float) -> None:
+    """655.35 degrees were flown as a bearing of 295."""
+    watch = flying()
+    heard(watch, "GLOBAL_POSITION_INT", lat=470000000, lon=80000000, relative_alt=60_000, hdg=hdg)
+    heard(watch, "ATTITUDE", roll=0.0, pitch=0.0, yaw=-math.pi / 2)
+    assert watch.heading_deg == pytest.approx(heading_deg)
 
 
 def test_terrain_is_carried_to_the_height_of_the_range() -> None:

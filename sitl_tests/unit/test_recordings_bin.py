@@ -114,6 +114,23 @@ def test_every_parameter_that_the_doctor_judges_is_read(tmp_path: Path) -> None:
     assert any("RNGFND2 looks to 25 too" in finding.text for finding in check_ranging(rival))
 
 
+@pytest.mark.parametrize("is_mended", [False, True])
+def test_a_format_that_contradicts_itself_costs_its_messages_alone(tmp_path: Path, is_mended: bool) -> None:
+    """A letter of ARSP's format is damaged; ArduPilot may write the format once more."""
+    log = flight()
+    formats = Log("ARSP").data
+    assert log.data.count(formats) == 1
+    damaged = formats.replace(b"QBf", b"QBd")
+    data = log.data.replace(formats, damaged + formats * is_mended)
+    records = list((recording := BinRecording(write(tmp_path, data), AIRFRAME)).records())
+    assert sum(record.t_ns.size for record in records if isinstance(record, ImuBatch)) == 300
+    (state,) = [record for record in records if isinstance(record, VehicleState)]
+    assert state.airspeed_mps == (17.5 if is_mended else 0.0)
+    notes = [notice.text for notice in recording.notices]
+    assert any("messages ARSP contradicts its own length" in text for text in notes) is not is_mended
+    assert not any("are no messages" in text for text in notes)
+
+
 def test_gyro_samples_at_other_stamps_are_interpolated_to_the_accelerometers(tmp_path: Path) -> None:
     recording = BinRecording(write(tmp_path, flight(gyro_shift_us=250).data), load_airframe("nadir-2m"))
     (stream,) = recording.streams  # the nodes of nadir-2m are not in an onboard log

@@ -10,13 +10,27 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.logs.bin import BinRecording
+from companion.adapters.recordings.logs.stamps_ahead import ahead_of_neighbours
 from companion.adapters.recordings.logs.tlog import TlogRecording
+from companion.adapters.recordings.logs.ulog import UlogRecording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.evaluation.replay import foreign_inputs
 from companion.params.files import load_airframe
-from companion.records import Axis, ClockName, ImuBatch, Ints, Record, Rejected, Station, Tick, VehicleState
+from companion.records import (
+    AutopilotParameter,
+    Axis,
+    ClockName,
+    ImuBatch,
+    Ints,
+    Record,
+    Rejected,
+    Station,
+    Tick,
+    VehicleState,
+)
 from sitl_tests.unit import test_recordings_bin as onboard
 from sitl_tests.unit import test_recordings_tlog as telemetry
+from sitl_tests.unit import test_recordings_ulog as px4
 
 AIRFRAME = load_airframe("sitl-plane")
 HOUR_S = 3600
@@ -121,3 +135,70 @@ def test_an_onboard_log_is_read_on_behind_a_pause(tmp_path: Path) -> None:
     (tmp_path / "a.BIN").write_bytes(log.data)
     recording = BinRecording(tmp_path / "a.BIN", AIRFRAME)
     assert used(recording.records()).size == 3 * 1200
+
+
+def states_and_samples(records: Iterable[Record]) -> tuple[int, int, int]:
+    """Number of flight states, of samples, and the latest time that any of them was received at, us."""
+    batches = [record for record in records if isinstance(record, ImuBatch | VehicleState | AutopilotParameter)]
+    states = sum(isinstance(batch, VehicleState) for batch in batches)
+    samples = sum(batch.t_ns.size for batch in batches if isinstance(batch, ImuBatch))
+    assert [batch.received_host_ns for batch in batches] == sorted(batch.received_host_ns for batch in batches)
+    return states, samples, max(batch.received_host_ns for batch in batches) // 1000
+
+
+LEAP_US = 3_600_000_000
+DAMAGED = [("ACC", 0), ("GYR", 2), ("ATT", 0), ("PARM", 0), ("ACC", -1)]
+
+
+@pytest.mark.parametrize(("name", "place"), [*DAMAGED, ("", 0)])
+def test_a_damaged_stamp_of_a_dataflash_log_costs_one_message(tmp_path: Path, name: str, place: int) -> None:
+    log = onboard.Log("PARM", "ACC", "GYR", "ATT", "ARSP")
+    for i in range(2000):
+        leap_us = LEAP_US if i == (1999 if place < 0 else 500) else 0
+        t_us = 1000 + 1000 * i
+        if i % 100 == 0:
+            log.add("ATT", t_us + leap_us * (name == "ATT"), 1.0, 2.0, 3.0)
+            log.add("PARM", t_us + leap_us * (name == "PARM"), b"INS_ACCEL_FILTER", 20.0 + i, 20.0)
+        for imu in range(3):
+            log.add("GYR", t_us, imu, t_us + leap_us * (name == "GYR" and imu == place), 0.01, 0.02, 0.03)
+            log.add("ACC", t_us + leap_us * (name == "ACC" and imu == place % 3), imu, t_us, 0.1, 0.2, -9.8)
+    (tmp_path / "a.BIN").write_bytes(log.data)
+    recording = BinRecording(tmp_path / "a.BIN", AIRFRAME)
+    states, samples, latest_us = states_and_samples(recording.records())
+    assert states == 20 - (name == "ATT")
+    assert samples == 6000 - (name == "ACC")
+    assert latest_us <= 2_001_000
+    texts = [notice.text for notice in recording.notices if "1 s ahead" in notice.text]
+    assert len(texts) == (name != "")
+
+
+@pytest.mark.parametrize("column", ["timestamp", "timestamp_sample", "attitude", ""])
+def test_a_damaged_stamp_of_a_ulog_costs_one_message(tmp_path: Path, column: str) -> None:
+    topics = [(name, imu) for name in ("sensor_accel", "sensor_gyro") for imu in range(3)]
+    log = px4.Log(*topics, ("vehicle_attitude", 0))
+    for i in range(2000):
+        leap_us, t_us = LEAP_US if i == 500 else 0, 5000 + 1000 * i
+        if i % 100 == 0:
+            log.add("vehicle_attitude", 0, t_us + leap_us * (column == "attitude"), 1.0, 0.0, 0.0, 0.0)
+        for name, imu in topics:
+            damage = leap_us * (name == "sensor_accel" and imu == 1)
+            stamps = t_us + damage * (column == "timestamp"), t_us + damage * (column == "timestamp_sample")
+            log.add(name, imu, *stamps, 0.1, 0.2, -9.8)
+    (tmp_path / "a.ulg").write_bytes(log.data)
+    recording = UlogRecording(tmp_path / "a.ulg", AIRFRAME)
+    states, samples, latest_us = states_and_samples(recording.records())
+    assert states == 20 - (column == "attitude")
+    assert samples == 6000 - column.startswith("timestamp")
+    assert latest_us <= 2_005_000
+    assert any("1 stamp is more than 1 s ahead" in notice.text for notice in recording.notices) is (column != "")
+
+
+def test_what_follows_a_long_gap_is_kept_and_many_damaged_stamps_are_not() -> None:
+    t_us = np.concatenate([np.arange(0, 10**6, 1000), np.arange(10**9, 10**9 + 10**6, 1000)])
+    assert not ahead_of_neighbours(t_us).any()
+    rng = np.random.default_rng(3)
+    damaged = rng.random(t_us.size) < 0.1
+    t_us[damaged] += rng.integers(10**10, 10**12, int(damaged.sum()))
+    missed = damaged & ~ahead_of_neighbours(t_us)
+    assert not missed.any()
+    assert not (ahead_of_neighbours(t_us) & ~damaged).any()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import Link, open_link
+from companion.adapters.mavlink.link.signing import load_signing
 from companion.calibration.boards import LEAST_SQUARES, MOST_SQUARES
 from companion.cli import calibrate, run
 from companion.cli.doctor import diagnose
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--range-within", type=seconds, default=300.0, metavar="SECONDS", help="longest wait for the first range"
     )
+    parser.add_argument("--sign-key", type=Path, metavar="FILE", help="key of signed links (see run)")
     parser.add_argument("--out", type=Path, default=Path("out/wing"), metavar="FOLDER", help="where results are put")
     add_settings(parser)
 
@@ -91,12 +93,16 @@ def _on_the_bench(
     """Steps that need nothing but nodes, autopilot and a hand."""
     if not steps:
         return []
-    links, clock, wait = (
-        rehearsal(airframe, steps, options.seconds) if options.connect == [SIMULATED] else _real(options)
-    )
+    clock: Clock = MonotonicClock()
+    signing = None if options.sign_key is None else load_signing(options.sign_key, clock)
+    if options.connect == [SIMULATED]:
+        links, clock, wait = rehearsal(airframe, steps, options.seconds)
+    else:
+        links = [open_link(spelling, clock, n, signing) for n, spelling in enumerate(options.connect)]
+        wait = _no_pause
 
     def examine(each: Callable[[Record], None]) -> Examination:
-        return Examination(links, clock, airframe, settings, options.seconds, each)
+        return Examination(links, clock, airframe, settings, options.seconds, each, signing=signing)
 
     guide = WingGuide(examine, lambda held: list(diagnose(held.evidence())), airframe, clock, _ask, wait)
     results = []
@@ -112,9 +118,8 @@ def _on_the_bench(
     return results
 
 
-def _real(options: argparse.Namespace) -> tuple[list[Link], Clock, Callable[[], None]]:
-    clock = MonotonicClock()
-    return [open_link(spelling, clock, n) for n, spelling in enumerate(options.connect)], clock, lambda: None
+def _no_pause() -> None:
+    """A real link is waited for where it is read."""
 
 
 def rehearsal(
@@ -168,6 +173,7 @@ def _first_range(options: argparse.Namespace, airframe: str) -> list[GuideStep]:
     """The service itself with this airframe file, until it publishes a range."""
     words = [word for link in options.connect for word in ("--connect", link)]
     words += ["--airframe", airframe, "--cameras", options.cameras, "--trigger", options.trigger]
+    words += [] if options.sign_key is None else ["--sign-key", str(options.sign_key)]
     words += [] if options.settings is None else ["--settings", str(options.settings)]
     words += [word for change in options.changes for word in ("--set", change)]
     parser = argparse.ArgumentParser(prog="spanwise run")

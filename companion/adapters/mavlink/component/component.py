@@ -18,6 +18,7 @@ from companion.params.metadata import GENERAL_FILE, metadata_files
 from companion.records import Notice, ParameterChange
 
 _MOST_NOTICES = 16  # bound of memory
+_LONGEST_WAIT_NS = 1_000_000_000  # chosen: a line that never empties must not silence the others for ever
 
 
 class OnboardComponent:
@@ -36,6 +37,7 @@ class OnboardComponent:
         self.commands = CommandServer(component, files[GENERAL_FILE])
         self._computer = OnboardComputerStatus() if computer is None else computer
         self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
+        self._bulk_host_ns = 0
 
     def hear(self, heard: Heard, system: int) -> None:
         """Take in a rare message of somebody else."""
@@ -52,25 +54,25 @@ class OnboardComponent:
         if notice is not None:
             self._notices.append(notice)
 
-    def due(self, now_host_ns: int) -> Iterator[Any]:
-        """The messages to send now."""
-        for message in (
-            self.commands.due(),
-            self.parameters.due(now_host_ns),
-            self.files.due(now_host_ns),
-            self._computer.due(now_host_ns),
-        ):
-            if message is not None:
-                yield message
-        if self.signing is not None:
-            self._notices.extend(self.signing.notices(now_host_ns))
+    def due(self, now_host_ns: int, *, busy: bool = False) -> Iterator[Any]:
+        """The messages to send now; files and parameters wait, a second at most, while a line is ``busy``.
+
+        Ranges and TIMESYNC go over the same line, and would be late by whatever lies before them.
+        """
+        messages = [self.commands.due(), self._computer.due(now_host_ns)]
+        if not busy or now_host_ns - self._bulk_host_ns > _LONGEST_WAIT_NS:
+            self._bulk_host_ns = now_host_ns
+            messages.append(self.parameters.due(now_host_ns) or self.files.due(now_host_ns))
+        yield from (message for message in messages if message is not None)
 
     def close(self) -> None:
         """Finish what is under way."""
         self.parameters.close()
 
-    def events(self) -> list[ParameterChange | Notice]:
-        """Changes and sentences for the operator since the last call."""
+    def events(self, now_host_ns: int) -> list[ParameterChange | Notice]:
+        """Changes and sentences for the operator since the last call, whether or not a vehicle is heard."""
+        if self.signing is not None:
+            self._notices.extend(self.signing.notices(now_host_ns))
         taken = [*self.parameters.events(), *self._notices]
         self._notices.clear()
         return taken

@@ -22,6 +22,7 @@ _FIRST = 4  # so many sectors left of straight ahead the circle begins: where Ar
 _CM = 100.0  # centimetres per metre (by definition)
 _LARGEST_CM = 65_533  # UINT16_MAX less 2: one more says "beyond", UINT16_MAX "unknown" (derived)
 _UNKNOWN_CM = 65_535  # UINT16_MAX: OBSTACLE_DISTANCE's "unknown" (MAVLink common.xml)
+_ABOVE = 1.0 + 1e-6  # of the least distance: a point of it, in 32-bit floats, is not nearer than that (derived)
 _NO_OBSTACLE_ID = 65_535  # UINT16_MAX: OBSTACLE_DISTANCE_3D's "no id" (MAVLink)
 _UNKNOWN_COVARIANCE = 255  # UINT8_MAX: DISTANCE_SENSOR's "unknown" (MAVLink common.xml)
 _LARGEST_COVARIANCE = 254  # the largest uint8 that is not "unknown" (derived)
@@ -50,12 +51,13 @@ def heartbeat(health: Health) -> Any:
 def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boot_ms: int) -> Any:
     """DISTANCE_SENSOR of a range.
 
-    A range that is not trusted, finite, positive and inside the limits is sent as :func:`no_range`. The covariance is
-    in cm^2, 1 to 254; a larger or unknown one is 255. The quality is what sigma leaves of 100, at least 2.
+    A range that is not trusted, finite, positive and, in whole centimetres, inside the limits is sent as
+    :func:`no_range`. The covariance is in cm^2, 1 to 254; a larger or unknown one is 255. The quality is what sigma
+    leaves of 100, at least 2.
     """
     least, most = _limits_cm(min_m, max_m)
     good = record.trusted and math.isfinite(record.range_m) and math.isfinite(record.sigma_m) and record.sigma_m >= 0
-    if not (good and record.range_m > 0 and least <= record.range_m * _CM <= most):
+    if not (good and record.range_m > 0 and least <= round(record.range_m * _CM) <= most):
         return no_range(record.orientation, min_m, max_m, time_boot_ms)
     quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)
     distance = _clamp(record.range_m * _CM, least, most)
@@ -141,11 +143,13 @@ def obstacle_points(record: ObstacleSectors, time_boot_ms: int) -> list[Any]:
 
     ArduPilot takes points of one stamp for one look and uses it when the next stamp arrives. A look without a point
     therefore still says one, beyond the largest distance, which it ignores; nothing can say that a direction is clear.
+    What is nearer than the least distance it ignores too: such an obstacle is put there.
     """
     least_m, most_m = (limit / _CM for limit in _limits_cm(record.min_m, record.max_m))
-    sectors = np.flatnonzero(record.known[:SECTORS] & np.isfinite(record.distance_m[:SECTORS]))
-    points = [(math.radians(_SECTOR_DEG * index), float(record.distance_m[index])) for index in sectors.tolist()]
-    points = [(bearing, distance) for bearing, distance in points if least_m <= distance <= most_m]
+    distances = record.distance_m[:SECTORS]
+    sectors = np.flatnonzero(record.known[:SECTORS] & (distances >= 0.0) & (distances <= most_m))
+    least = least_m * _ABOVE
+    points = [(math.radians(_SECTOR_DEG * index), max(float(distances[index]), least)) for index in sectors.tolist()]
     return [
         mavlink.MAVLink_obstacle_distance_3d_message(
             time_boot_ms & _UINT32,

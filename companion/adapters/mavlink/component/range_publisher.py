@@ -4,7 +4,8 @@ A range is that of an exposure, which the smoother's lag and the matching put ha
 the autopilots take DISTANCE_SENSOR and obstacles for the present, whatever their stamps say. They are moved on to the
 instant of sending by what the autopilot has told since: a downward range by the climb rate (a descent at 2 m/s
 would else read 1 m long), what lies ahead by the speed towards it (at 20 m/s it would read 12 m too far). Where the
-autopilot has not told for long how it moves, the range of then is not the range of now, and none goes out.
+autopilot has not told for long how it moves, or so vaguely that the sigma of the way exceeds what is trusted, the
+range of then is not the range of now, and none goes out.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ _RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins 
 _SPEED_SIGMA_MPS = 0.3  # of a told climb rate or velocity, and of level ground under an aircraft in flight (choice)
 _WIND_SIGMA_MPS = 3.0  # of the airspeed as speed over ground (choice, as for the flow: core/stereo/README.md)
 _EARLIER_SIGMA_MPS = 3.0  # of a speed that was told before the exposure alone: a push-over of 3 m/s^2 (choice)
+_UNTOLD_MPS2 = 3.0  # by so much a speed may change while none is told: the same push-over (choice)
+_FLARE_SIGMA_M = 0.3  # is trusted at any range: near the ground RNG_TRUST would leave a flare no range (choice)
 _OLDEST_NS = 2_000_000_000  # neither an older range is moved on, nor any by an older speed (choice)
 _SECTORS_LAST_NS = 400_000_000  # chosen: as a range does (core/output_scheduler.py)
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be (choice)
@@ -100,6 +103,8 @@ class RangePublisher:
         if self._forward and record.range_m >= self._settings.min_range_m:
             range_m = max(range_m, self._settings.min_range_m)  # what is too near to measure by now is still there
         sigma_m = math.hypot(record.sigma_m, sigma_m)
+        if not self._is_precise(range_m, sigma_m):
+            return None
         return dataclasses.replace(record, t_host_ns=now_host_ns, range_m=range_m, sigma_m=sigma_m)
 
     def _sectors_moved_on(self, record: ObstacleSectors, now_host_ns: int) -> ObstacleSectors | None:
@@ -112,22 +117,40 @@ class RangePublisher:
         ahead = np.cos(2.0 * np.pi * np.arange(len(record.distance_m)) / len(record.distance_m))
         distance_m = np.maximum(record.distance_m - moved[0] * ahead, np.minimum(record.distance_m, record.min_m))
         sigma_m = np.hypot(record.sigma_m, moved[1] * ahead)
-        return dataclasses.replace(record, t_host_ns=now_host_ns, distance_m=distance_m, sigma_m=sigma_m)
+        precise = record.known & self._is_precise(distance_m, sigma_m)
+        moved_on = {"distance_m": distance_m, "sigma_m": sigma_m, "known": precise}
+        return dataclasses.replace(record, t_host_ns=now_host_ns, **moved_on)
+
+    def _is_precise(self, range_m: Any, sigma_m: Any) -> Any:
+        """Whether a range, or each of several, is still trusted with the sigma that being moved on has left.
+
+        What lies ahead and is too near to measure by now is told in any case: that it is near needs no sigma.
+        """
+        trusted = sigma_m <= np.maximum(self._settings.trust_ratio * range_m, _FLARE_SIGMA_M)
+        return trusted | (self._forward & (range_m <= self._settings.min_range_m))
 
     def _approached(self, t_host_ns: int, now_host_ns: int) -> tuple[float, float] | None:
         """How much nearer something that stands still has come since an exposure, and its sigma, m; None: not told."""
         age_ns = now_host_ns - t_host_ns
-        recent = [s for s in self._states if now_host_ns - _OLDEST_NS <= s.received_host_ns <= now_host_ns]
+        known_ns = [(self._speed_host_ns(state), state) for state in self._states]
+        recent = [row for row in known_ns if now_host_ns - _OLDEST_NS <= row[0] <= now_host_ns]
         if age_ns > _OLDEST_NS or not recent:
             return None
-        since = [state for state in recent if state.received_host_ns >= t_host_ns]
+        since = [row for row in recent if row[0] >= t_host_ns]
         speeds = [
             (-state.climb_mps, _SPEED_SIGMA_MPS) if self._looks_down else _speed_ahead(state)
-            for state in since or recent[-1:]
+            for _, state in since or recent[-1:]
         ]
         speed_mps, sigma_mps = np.mean(speeds, axis=0).tolist()
         sigma_mps = sigma_mps if since else math.hypot(sigma_mps, _EARLIER_SIGMA_MPS)
-        return 1e-9 * age_ns * speed_mps, 1e-9 * age_ns * sigma_mps
+        untold_s = 1e-9 * (now_host_ns - max(host_ns for host_ns, _ in recent))
+        sigma_m = math.hypot(1e-9 * age_ns * sigma_mps, 0.5 * _UNTOLD_MPS2 * untold_s**2)
+        return 1e-9 * age_ns * speed_mps, sigma_m
+
+    def _speed_host_ns(self, state: VehicleState) -> int:
+        """When the speed was received that moves the ranges: climb and airspeed may be older than their attitude."""
+        is_of_air = self._looks_down or state.velocity_ned_mps is None
+        return state.air_host_ns if is_of_air and state.air_host_ns is not None else state.received_host_ns
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
         form, boot_ns = self._settings.obstacles, record.t_host_ns + boot_offset_ns

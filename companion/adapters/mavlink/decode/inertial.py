@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.adapters.mavlink.decode.bulk import SampleRun
 from companion.adapters.mavlink.decode.counters import RefusalCounters
-from companion.adapters.mavlink.decode.layouts import MessageSamples
+from companion.adapters.mavlink.decode.layouts import WRAPPING, MessageSamples
 from companion.adapters.mavlink.decode.source_map import MappedSource
 from companion.adapters.mavlink.link.dialect import NAME_OF
 from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS, ClockResetDetector
@@ -29,6 +29,7 @@ class StationReader:
         self._reset_detector, self._followed = reset_detector, reset_detector.follow(source.clock)
         self._refusals = refusals
         self._order, self._signs = source.order, source.signs
+        self._wraps = NAME_OF[source.message] in WRAPPING
         self._turned = source.body_from_sensor is not None
 
     def batches(self, samples: MessageSamples, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
@@ -76,6 +77,8 @@ class StationReader:
         self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
     ) -> Iterator[ImuBatch | ClockRestart]:
         """Give the batches of samples, ``values`` (n, 6), in which nothing is odd but perhaps their time."""
+        if self._wraps:
+            t_ns = self._followed.unwrapped(t_ns, received_host_ns)
         verdict = self._reset_detector.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
             yield self._batch(t_ns, values, axes, received_host_ns)

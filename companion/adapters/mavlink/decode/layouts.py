@@ -188,6 +188,9 @@ def _names(column: np.ndarray[tuple[int], np.dtype[np.bytes_]]) -> list[str]:
     return [name.split(b"\0", 1)[0].decode("ascii", errors="replace") for name in column.tolist()]
 
 
+WRAPPING = frozenset(("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"))
+"""Messages whose boot time is 32 bits of milliseconds."""
+
 LAYOUTS: dict[int, MessageLayout] = {
     ID_OF[layout.message]: layout
     for layout in (

@@ -32,8 +32,8 @@ _STATE_PERIOD_MS = 20  # chosen: 50 states a second at most; display and motion 
 _VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
 # an accuracy that is older is not that of the velocity: ArduPlane streams GPS_RAW_INT at 1 Hz, PX4 at 1 to 5 (choice)
 _ACCURACY_AGE_NS = 3_000_000_000
-# airspeed and climb that are older are not those of the attitude: a downward range is moved on by the climb; every
-# profile of streams has VFR_HUD at 1 Hz at least (choice)
+# airspeed and climb that are older are not those of the attitude; every profile of streams has VFR_HUD at 1 Hz at
+# least (choice). A state says how old they are, for what is moved on by them
 _AIR_AGE_NS = 3_000_000_000
 # a landed state or a filter's flags that are older say nothing any more: both come at 1 Hz at least where they are
 # streamed, but for PX4's MINIMAL profile (choice)
@@ -303,6 +303,7 @@ class Translator:
             self._on_ground.verdict(heard.received_host_ns),
             self._velocity.ned_mps(message.time_boot_ms, heard.received_host_ns),
             self._velocity.sigma_mps(heard.received_host_ns),
+            self._air[1],
         )
 
     def _feedback(self, heard: Heard) -> Iterator[Record]:

@@ -42,6 +42,11 @@ class Link:
         """Who has which id, where many can reach this link."""
         return getattr(self._transport, "senders", None)
 
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait for a slow line; a datagram never waits."""
+        return bool(getattr(self._transport, "busy", False))
+
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while the connection is down."""
         return self._transport.fileno()
@@ -69,6 +74,8 @@ def open_link(
 ) -> Link:
     """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
 
+    Where the spelling ends with ``,unsigned`` the key does not hold for this link.
+
     With ``may_be_down`` a serial device, a TCP server or a host's name that is not there is waited for, as if lost.
 
     Raises
@@ -78,7 +85,7 @@ def open_link(
     """
     address = parse_link(spelling)
     transport = _open_transport(address, may_be_down=may_be_down)
-    if signing is not None:
+    if signing is not None and address.signed:
         transport = SignedTransport(transport, signing, number)
     return Link(number, str(address), transport, clock, speaks_first=address.kind is LinkKind.UDP_CALL)
 

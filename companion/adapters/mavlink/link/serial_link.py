@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import sys
 import termios
 from typing import Any
 
@@ -69,6 +70,17 @@ class SerialTransport:
         self._unsent += data
         self._flush()
         return True
+
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait for the line, here or in the kernel: what is sent now waits behind them."""
+        if self._port is None or self._unsent:
+            return bool(self._unsent)
+        try:
+            waiting = fcntl.ioctl(self._port.fileno(), termios.TIOCOUTQ, bytes(4))
+        except OSError:  # not every driver can tell
+            return False
+        return int.from_bytes(waiting, sys.byteorder) > 0
 
     def close(self) -> None:
         """Release the device."""

@@ -73,7 +73,7 @@ class SigningTime:
 
 
 class Signing:
-    """Key, time and known streams, shared by all links of the service.
+    """Key, time and known streams, shared by all signed links of the service.
 
     ``secret`` is the key, 32 bytes. Our signing time begins at ``timestamp``, in 10 us. ``keeper`` gets twice a second
     what is to be kept over a restart; ``saved`` is what was kept: its streams go on behind it, and new ones begin
@@ -133,31 +133,40 @@ class Signing:
         return body + self._digest(body)
 
     def judge(self, frame: bytes) -> Refusal | None:
-        """Say why a whole frame, whose checksum is right, may not come in; nothing if it may."""
-        refusal = self._refusal(frame)
+        """Say why a whole frame, whose checksum is right, may not come in; nothing, and take it, if it may."""
+        refusal = self.examine(frame)
         if refusal is None:
-            self.accepted += 1
-            self._keep()
-        elif not (refusal is Refusal.UNSIGNED and _is_radio_status(frame)):
+            self.accept(frame)
+        return refusal
+
+    def examine(self, frame: bytes) -> Refusal | None:
+        """Say the same of a frame of which something else decides yet whether it is taken."""
+        refusal = self._refusal(frame)
+        if refusal is not None and not (refusal is Refusal.UNSIGNED and _is_radio_status(frame)):
             self.refused[refusal] += 1
         return refusal
+
+    def accept(self, frame: bytes) -> None:
+        """Take a frame that may come in: from now on its stream must be newer."""
+        stream, timestamp = _stamp_of(frame)
+        self._streams[stream] = timestamp
+        if timestamp > self.now():
+            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
+        self.accepted += 1
+        self._keep()
 
     def _refusal(self, frame: bytes) -> Refusal | None:
         if frame[0] != MAGIC_2 or not frame[2] & SIGNED:
             return Refusal.UNSIGNED
         if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
             return Refusal.WRONG_KEY
-        stream = (frame[-13], frame[5], frame[6])
-        timestamp = int.from_bytes(frame[-12:-6], "little")
+        stream, timestamp = _stamp_of(frame)
         newest = self._streams.get(stream)
         if newest is not None and timestamp <= newest:
             return Refusal.REPLAYED
         oldest = max(self.now() - _MINUTE, self._floor + 1)
         if newest is None and (timestamp < oldest or len(self._streams) >= _MOST_STREAMS):
             return Refusal.STALE
-        self._streams[stream] = timestamp
-        if timestamp > self.now():
-            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
         return None
 
     def _digest(self, signed: bytes) -> bytes:
@@ -177,9 +186,20 @@ class Signing:
         fresh = self.refused - self._reported
         if fresh and self._warnings.take(now_host_ns):
             self._reported = Counter(self.refused)
-            parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
-            notices.append(Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns))
+            notices.append(Notice(Severity.WARNING, refusal_text(fresh), now_host_ns))
         return notices
+
+
+def refusal_text(refused: Mapping[Refusal, int]) -> str:
+    """The sentence about frames that were refused, by reason."""
+    counts = ", ".join(f"{count} {reason}" for reason, count in sorted(refused.items()))
+    advice = ": spell a link whose nodes cannot sign LINK,unsigned" if Refusal.UNSIGNED in refused else ""
+    return f"signing refused {counts}{advice}"
+
+
+def _stamp_of(frame: bytes) -> tuple[StreamKey, int]:
+    """Stream of a signed frame and its timestamp, 10 us."""
+    return (frame[-13], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
 
 
 def _is_radio_status(frame: bytes) -> bool:
@@ -197,12 +217,18 @@ class SignedTransport:
         self._tail = b""
         self._judged_inside = isinstance(inner, UdpIn)  # it learns its peers from what is accepted
         if isinstance(inner, UdpIn):
-            inner.judge = lambda frame: signing.judge(frame) is None
+            inner.judge = lambda frame: signing.examine(frame) is None
+            inner.accept = signing.accept
 
     @property
     def senders(self) -> Senders | None:
         """Senders of the inner transport, where many can reach it."""
         return getattr(self._inner, "senders", None)
+
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait in the inner transport."""
+        return bool(getattr(self._inner, "busy", False))
 
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while there is none."""

@@ -15,6 +15,7 @@ _FIRST_CONNECT_S = 3.0  # chosen: a host in the same network answers within it, 
 _LONGEST_CALL_NS = 3_000_000_000  # chosen: the system's own pauses between tries grow to a minute
 _GONE_MS = 5000  # chosen: without an answer so long, and a peer has vanished; a radio's pauses are shorter
 _KEEPALIVE_S = 1  # chosen: several questions before a silent peer is given up
+_UNDER_WAY = (0, errno.EINPROGRESS)  # by definition: of a call that does not wait, connect(2)
 _MOST_UNSENT_BYTES = 65536  # bound of memory: what a stalled peer may leave waiting
 
 
@@ -58,6 +59,11 @@ class _BufferedSocket:
         self.flush()
         return True
 
+    @property
+    def waits(self) -> bool:
+        """Whether something is kept for later."""
+        return bool(self._unsent)
+
     def flush(self) -> None:
         """Hand the kernel what it takes."""
         if self._unsent:
@@ -72,6 +78,11 @@ class _TcpTransport:
     """Connection of a client or a server, which read and write it alike."""
 
     _stream: _BufferedSocket | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether bytes wait that the system could not take."""
+        return self._stream is not None and self._stream.waits
 
     def send(self, data: bytes) -> bool:
         """Send where connected."""
@@ -126,8 +137,11 @@ class TcpClient(_TcpTransport):
                 return
             self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._calling.setblocking(False)
-            self._calling.connect_ex((address, self._port))
             self._called_host_ns = now_host_ns
+            if self._calling.connect_ex((address, self._port)) not in _UNDER_WAY:
+                self._calling.close()  # no way there, which a socket that never called does not tell later
+                self._calling = None
+                return
         calling = self._calling
         _, writable, _ = select.select([], [calling], [], 0)
         if not writable:

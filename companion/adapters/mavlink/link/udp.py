@@ -75,12 +75,14 @@ class UdpIn(_Udp):
     are kept; the one silent longest leaves first, but none that has a guarded id. Frames are put together for each
     sender apart, and a guarded id is one sender's (:class:`Senders`).
 
-    ``judge`` decides whether a frame may come in; with it all else stays out.
+    ``judge`` decides whether a frame may come in; with it all else stays out. What it lets in and the guard admits is
+    shown to ``accept``: a route's copy that the guard refuses must not make the original an old frame.
     """
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
         self.judge: Callable[[bytes], bool] | None = None
+        self.accept: Callable[[bytes], None] | None = None
         self.senders = Senders()
         self._peers: dict[tuple[str, int], _Peer] = {}
         self._strangers: dict[tuple[str, int], bytes] = {}
@@ -161,11 +163,17 @@ class UdpIn(_Udp):
         return b"".join(came), tail
 
     def _admits(self, address: tuple[str, int], frame: bytes, now_host_ns: int) -> bool:
-        if self.judge is not None and not self.judge(frame):
-            return False
         key = sender_of(frame)[:2]
-        if self.senders.guards(key) and not self.senders.admit(address, key, frame, now_host_ns):
+        is_guarded = self.senders.guards(key)
+        if self.judge is not None:
+            if is_guarded and self.senders.refuse_copy(address, key, frame):
+                return False
+            if not self.judge(frame):
+                return False
+        if is_guarded and not self.senders.admit(address, key, frame, now_host_ns):
             return False
+        if self.accept is not None:
+            self.accept(frame)
         system = 0 if _is_station(frame) else key[0]
         peer = self._peers.get(address)
         if peer is not None:

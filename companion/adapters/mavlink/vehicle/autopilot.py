@@ -100,7 +100,7 @@ class MavlinkAutopilot:
                 link.senders.guarded = frozenset(self.decoder.mapping.clocks)
         self._listener = listener
         self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
-        self._sender = ComponentSender(self._links, self.component, settings.component_id, clock)
+        self._sender = ComponentSender(self._links, self.component, settings, clock)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
         self._integer_parameters: set[str] = set()
@@ -158,7 +158,7 @@ class MavlinkAutopilot:
             yield from self._complain()
         yield from self._refusals()
         yield from self.rates.notices()
-        for event in self.component.events():
+        for event in self.component.events(self._clock.now_ns()):
             if isinstance(event, ParameterChange):
                 self.adopt(self.component.parameters.settings)
             yield event
@@ -171,7 +171,9 @@ class MavlinkAutopilot:
 
     def _complain(self) -> Iterator[Notice]:
         junk = any(self.decoder.counters(link.number).skipped_bytes for link in self._links)
-        notice = self._absence.due(self._clock.now_ns(), junk=junk)
+        signing = self.component.signing
+        refused = () if signing is None else tuple(signing.refused)
+        notice = self._absence.due(self._clock.now_ns(), junk=junk, refused=refused)
         if notice is not None:
             yield notice
 
@@ -289,7 +291,7 @@ class MavlinkAutopilot:
                 self._sender.send(encode.heartbeat(self.health), number)
         if system is None:
             return
-        for message in self.component.due(now_host_ns):
+        for message in self.component.due(now_host_ns, busy=any(link.busy for link in self._links)):
             self._sender.send(message)
         if self._timesync.due(now_host_ns):  # answered by everyone who keeps a clock
             self._sender.send(mavlink.MAVLink_timesync_message(0, self._clock.now_ns()))

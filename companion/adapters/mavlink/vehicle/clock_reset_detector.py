@@ -13,6 +13,7 @@ AHEAD_NS = 1_000_000_000  # chosen: no link holds samples back so long
 CONFIRMATIONS = 3  # in a row: a late datagram is a sample or two (choice)
 _ADOPT_NS = 1_000_000_000  # chosen: samples of the old epoch are no longer on their way by then
 _ALIVE_NS = 1_000_000_000  # chosen: a source that is silent for longer may itself have been restarted
+WRAP_NS = (1 << 32) * 1_000_000  # by definition: milliseconds in 32 bits begin anew after 49.7 days
 LEAPS = ": time leaps"
 """Ends the name of a source whose stamps were refused because they were ahead."""
 
@@ -36,6 +37,15 @@ class StampHistory:
     def limit_ns(self, received_host_ns: int) -> int:
         """Give the stamp beyond which a clock cannot be by now that goes on from the newest one."""
         return (self.newest_ns or 0) + max(received_host_ns - self.heard_host_ns, 0) + AHEAD_NS
+
+    def unwrapped(self, t_ns: Ints, received_host_ns: int) -> Ints:
+        """Stamps (n,) of 32-bit milliseconds, where the clock that goes on from the newest one has wrapped."""
+        newest_ns = self.newest_ns
+        if newest_ns is None or int(t_ns.min()) > newest_ns - WRAP_NS // 2:
+            return t_ns
+        laps_ns = t_ns + (newest_ns - t_ns + WRAP_NS // 2) // WRAP_NS * WRAP_NS
+        goes_on = (laps_ns >= newest_ns - BACK_NS) & (laps_ns <= self.limit_ns(received_host_ns))
+        return np.where(goes_on, laps_ns, t_ns)
 
 
 @dataclass(frozen=True, slots=True)

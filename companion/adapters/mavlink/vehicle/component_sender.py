@@ -13,10 +13,11 @@ from companion.adapters.mavlink.decode.message_records import parameter_encoding
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.link import Link
+from companion.params.settings import Settings
 from companion.ports import Clock
 from companion.records import Notice, RawChunk
 
-_FIRST_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
+_FIRST_SYSTEM = 1  # system id of our first heartbeat where none is set; ArduPilot's default
 _COMMAND_PARAMETERS = 7  # of a COMMAND_LONG (by definition)
 _MOST_UNREAD = 1024  # frames; bound of memory
 
@@ -24,18 +25,18 @@ _MOST_UNREAD = 1024  # frames; bound of memory
 class ComponentSender:
     """Packs pymavlink messages as our component and writes them to the links.
 
-    ``system`` is the system id that we send with, the autopilot's; ``refused`` counts messages that were not sent
-    because a value was not finite. ``autopilot_link`` is the number of the link that what is asked of the autopilot
-    goes to, None for all.
+    ``system`` is the system id that we send with, the autopilot's; until that is heard the one that is set. ``refused``
+    counts messages that were not sent because a value was not finite. ``autopilot_link`` is the number of the link that
+    what is asked of the autopilot goes to, None for all.
     """
 
-    def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int, clock: Clock) -> None:
+    def __init__(self, links: Sequence[Link], component: OnboardComponent, settings: Settings, clock: Clock) -> None:
         self.refused = 0
         self.autopilot_link: int | None = None
         self._clock = clock
         self._sent: deque[RawChunk] = deque(maxlen=_MOST_UNREAD)
         self._links, self._component = links, component
-        self._packer = mavlink.MAVLink(None, _FIRST_SYSTEM, component_id)
+        self._packer = mavlink.MAVLink(None, settings.system_id or _FIRST_SYSTEM, settings.component_id)
         self._sequences = dict.fromkeys((link.number for link in links), 0)  # of the next frame on each link
         self._texts = 0
 

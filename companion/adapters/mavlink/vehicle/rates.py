@@ -19,6 +19,7 @@ from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000  # by definition
 _ACK_TIMEOUT_NS = 300_000_000  # chosen: an acknowledgement over a radio link comes within it
+_LATE_NS = _SECOND_NS  # chosen: for so long acknowledgements of repeated requests are awaited, before another message
 _SILENT_PAUSE_NS = 5 * _SECOND_NS  # chosen: an autopilot that starts up answers some seconds later
 _REFUSED_PAUSE_NS = 30 * _SECOND_NS  # chosen: a refusal rarely changes within a flight
 _LONGEST_PAUSE_NS = 10 * _SECOND_NS  # chosen: the longest that a lost rate may go unnoticed
@@ -83,6 +84,8 @@ class RateKeeper:
         self._wanted = {message: _RequestedRate(message, us, us) for message, us in wanted_us.items()}
         self._asked: _RequestedRate | None = None
         self._asked_host_ns = 0
+        self._unanswered = 0  # requests for the message asked last; an acknowledgement does not say of which it is
+        self._next_host_ns = 0
         self._loop_rate_hz: float | None = None
         self._integration_rate_hz: float | None = None
         self._notices: deque[Notice] = deque(maxlen=32)
@@ -91,7 +94,7 @@ class RateKeeper:
 
     def restart(self, now_host_ns: int) -> None:
         """Ask for everything again: the component rebooted."""
-        self._asked = None
+        self._asked, self._unanswered = None, 0
         for entry in self._wanted.values():
             entry.granted_us, entry.settled, entry.tries, entry.fallen = entry.wanted_us, False, 0, 0
             entry.ask_at_host_ns, entry.pause_ns = now_host_ns, _SECOND_NS
@@ -117,17 +120,28 @@ class RateKeeper:
             asked.tries += 1
             if asked.tries >= _TRIES:
                 asked.tries, asked.ask_at_host_ns = 0, now_host_ns + _SILENT_PAUSE_NS
+                self._asked, self._next_host_ns = None, now_host_ns + _LATE_NS
+        if self._asked is None and self._unanswered and now_host_ns < self._next_host_ns:
+            return None
         ready = [entry for entry in self._wanted.values() if not entry.settled and entry.ask_at_host_ns <= now_host_ns]
-        self._asked = ready[0] if ready else None
-        self._asked_host_ns = now_host_ns
-        return IntervalRequest(ready[0].message, ready[0].granted_us) if ready else None
+        self._unanswered = 0 if self._asked is None else self._unanswered
+        if self._asked not in ready:
+            self._asked = ready[0] if ready else None
+        if self._asked is None:
+            return None
+        self._asked_host_ns, self._unanswered = now_host_ns, self._unanswered + 1
+        return IntervalRequest(self._asked.message, self._asked.granted_us)
 
     def acknowledged(self, result: int, now_host_ns: int) -> None:
-        """Take the COMMAND_ACK of the request that is out."""
+        """Take the COMMAND_ACK of the request that is out; those of its repeats come later, and say nothing new."""
+        if result == mavlink.MAV_RESULT_IN_PROGRESS:
+            return
         entry, self._asked = self._asked, None
-        if entry is None or result == mavlink.MAV_RESULT_IN_PROGRESS:
-            self._asked = entry
-        elif result == mavlink.MAV_RESULT_ACCEPTED:
+        self._unanswered = max(self._unanswered - 1, 0)
+        if entry is None:
+            return
+        self._next_host_ns = now_host_ns + _LATE_NS
+        if result == mavlink.MAV_RESULT_ACCEPTED:
             entry.settled, entry.tries = True, 0
             entry.counted_host_ns, entry.check_at_host_ns = 0, now_host_ns + entry.pause_ns
         elif result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED:

@@ -73,6 +73,14 @@ class Senders:
             return False
         return self.has(address, key, frame, now_host_ns)
 
+    def refuse_copy(self, address: Address, key: Key, frame: bytes) -> bool:
+        """Whether a frame is one of the holder's that came by another route too: refused and counted."""
+        place = self._places.get(key)
+        is_copy = place is not None and place.address != address and frame in place.sent
+        if is_copy:
+            self._refused[key, address] += 1
+        return is_copy
+
     def holds_any(self, address: Address) -> bool:
         """Whether a guarded id is this sender's."""
         return any(place.address == address for place in self._places.values())

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_neighbours, as_stamps
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -54,6 +55,22 @@ class _Format:
     letters: str
     fields: tuple[str, ...]
 
+    @property
+    def begins_with_time(self) -> bool:
+        """Whether the first field is the boot time, us."""
+        return self.fields[0] == "TimeUS" and self.letters[0] == "Q"
+
+    @property
+    def layout(self) -> np.dtype[Any]:
+        """Fields as numpy has them."""
+        rows = zip(self.fields, self.letters, strict=True)
+        return np.dtype([(field, _LETTERS[letter][0]) for field, letter in rows])
+
+    @property
+    def fits(self) -> bool:
+        """Whether the fields are as long as the message is said to be."""
+        return self.layout.itemsize == self.length - 3
+
     def has(self, needed: tuple[str, ...]) -> bool:
         """Whether these fields are there, ``Name`` as a text and all others as numbers."""
         letters = dict(zip(self.fields, self.letters, strict=True))
@@ -64,7 +81,9 @@ class DataflashLog:
     """A log in memory; messages of a kind are taken out as arrays.
 
     ``skipped_bytes`` lie inside the log and belong to no message; ``cut_bytes`` are of the incomplete message at the
-    end.
+    end. Messages whose ``TimeUS`` leaps ahead are left out and counted in ``leaps``, those whose ``SampleUS`` does, as
+    they are taken, in ``sample_leaps``. Kinds of messages whose fields are not as long as they are said to be are named
+    in ``misfits`` and passed over.
 
     Raises
     ------
@@ -88,6 +107,18 @@ class DataflashLog:
         self._types = types[intact]
         if not self._starts.size:
             raise RecordingError(f"{path}: no whole message in this log")
+        self.leaps = self._drop_leaps()
+        self._sample_leaps: dict[str, int] = {}
+
+    @property
+    def misfits(self) -> list[str]:
+        """Names of the kinds of messages whose format contradicts itself."""
+        return [entry.name for entry in self._formats.values() if not entry.fits]
+
+    @property
+    def sample_leaps(self) -> int:
+        """Messages taken so far that were left out because their sample is said to be of long after them."""
+        return sum(self._sample_leaps.values())
 
     def take(self, name: str, *needed: str) -> dict[str, Any]:
         """Give all messages of a kind as a dict of field name to array, in log order.
@@ -97,8 +128,11 @@ class DataflashLog:
         Integers and floats keep their width, scaled fields become float64 in their unit, texts bytes.
         """
         for number, entry in self._formats.items():
-            if entry.name == name and entry.has(needed):
+            if entry.name == name and entry.fits and entry.has(needed):
                 table = self._table(number, entry)
+                if {"TimeUS", "SampleUS"} <= set(entry.fields):
+                    ahead = as_stamps(table["SampleUS"]) > as_stamps(table["TimeUS"]) + AHEAD_US
+                    self._sample_leaps[name], table = int(ahead.sum()), table[~ahead]
                 return {
                     field: _scaled(table[field], letter)
                     for field, letter in zip(entry.fields, entry.letters, strict=True)
@@ -107,14 +141,17 @@ class DataflashLog:
 
     def _table(self, number: int, entry: _Format) -> Any:
         starts = self._starts[self._types == number] + 3
-        dtype = np.dtype(
-            [(field, _LETTERS[letter][0]) for field, letter in zip(entry.fields, entry.letters, strict=True)]
-        )
-        if dtype.itemsize != entry.length - 3:
-            raise RecordingError(
-                f"{self.path}: message {entry.name} has {entry.length - 3} bytes, not {dtype.itemsize}"
-            )
+        dtype = entry.layout
         return self._data[starts[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
+
+    def _drop_leaps(self) -> int:
+        """Leave out messages whose time is far ahead of their neighbours'; gives their number."""
+        timed = [number for number, entry in self._formats.items() if entry.fits and entry.begins_with_time]
+        places = np.flatnonzero(np.isin(self._types, timed))
+        t_us = self._data[self._starts[places][:, None] + np.arange(3, 11)].view("<u8")[:, 0]
+        ahead = places[ahead_of_neighbours(as_stamps(t_us))]
+        self._starts, self._types = np.delete(self._starts, ahead), np.delete(self._types, ahead)
+        return int(ahead.size)
 
     def _read_formats(self, starts: Ints) -> dict[int, _Format]:
         formats = {_FMT_TYPE: _Format("FMT", _FMT_BYTES, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))}
@@ -127,7 +164,9 @@ class DataflashLog:
             fields = tuple(columns.split(","))
             plain = all(fields) and len(set(fields)) == len(fields) == len(letters)
             if length > 3 and plain and set(letters) <= _LETTERS.keys():
-                formats.setdefault(number, _Format(name, length, letters, fields))
+                entry = _Format(name, length, letters, fields)
+                if number not in formats or (entry.fits and not formats[number].fits):
+                    formats[number] = entry
         return formats
 
 

@@ -76,6 +76,12 @@ class OnboardLog(LoggedRecording):
             text = f"truncated: the last {cut_bytes} bytes are no whole message, left out"
             self.say(text, severity=Severity.INFO)
 
+    def say_leaps(self, count: int) -> None:
+        """Note that messages were left out whose stamps are far ahead."""
+        if count:
+            stamps = "stamp is" if count == 1 else "stamps are"
+            self.say(f"{count} {stamps} more than 1 s ahead of the neighbours (damage), left out")
+
     def _stream(self, source: MappedSource, sensor: Sensor) -> tuple[InertialStream | None, str]:
         imu = imu_of(sensor)
         name = f"{self.path.name}: {source.station.name.lower()}"

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_neighbours, as_stamps
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -95,6 +96,9 @@ class UlogMessages:
             self._walk()
         except _Incompatible as error:
             raise RecordingError(f"{path}: cannot be read as a ULog: {error}") from None
+        self._sample_leaps: dict[tuple[str, int], int] = {}
+        self._ahead: set[int] = set()  # places of samples whose stamps leap
+        self._places, self._stamps_us = self._timed()
         self.parameters = self._timed_parameters()
 
     @property
@@ -110,9 +114,25 @@ class UlogMessages:
         for topic in self._all():
             columns = topic.layout.columns
             if (topic.name, topic.instance) == (name, instance) and topic.starts and set(needed) <= columns.keys():
-                rows = self._bytes(np.array(topic.starts, dtype=np.int64), topic.layout.least_bytes)
-                return {column: _column(rows, *place) for column, place in columns.items()}
+                starts = [start for start in topic.starts if start not in self._ahead] if self._ahead else topic.starts
+                rows = self._bytes(np.array(starts, dtype=np.int64), topic.layout.least_bytes)
+                table = {column: _column(rows, *place) for column, place in columns.items()}
+                if {"timestamp", "timestamp_sample"} <= columns.keys():
+                    ahead = as_stamps(table["timestamp_sample"]) > as_stamps(table["timestamp"]) + AHEAD_US
+                    self._sample_leaps[name, instance] = int(ahead.sum())
+                    table = {column: values[~ahead] for column, values in table.items()} if ahead.any() else table
+                return table
         return {}
+
+    @property
+    def leaps(self) -> int:
+        """Samples that are left out because their stamp is far ahead of their neighbours'."""
+        return len(self._ahead)
+
+    @property
+    def sample_leaps(self) -> int:
+        """Samples taken so far that were left out because they are said to be of long after their stamp."""
+        return sum(self._sample_leaps.values())
 
     def _all(self) -> list[_Topic]:
         return [*self._finished, *(topic for topic in self._topics.values() if topic is not None)]
@@ -212,8 +232,8 @@ class UlogMessages:
         if name in self._wanted:
             self._topics[number] = _Topic(name, instance, _layout(name, self._formats))
 
-    def _timed_parameters(self) -> list[tuple[int, str, float]]:
-        """Each with the newest stamp before it in the file, which is when it changed; the start where there is none."""
+    def _timed(self) -> tuple[Ints, Ints]:
+        """Places of all stamped samples in the file's order and their stamps, us; the log's start comes first."""
         places, stamps_us = [np.zeros(1, dtype=np.int64)], [np.array([self.start_us], dtype=np.uint64)]
         for topic in self._all():
             kind, offset = topic.layout.columns.get("timestamp", ("", 0))
@@ -222,8 +242,16 @@ class UlogMessages:
                 places.append(starts)
                 stamps_us.append(_column(self._bytes(starts, offset + 8), kind, offset))
         order = np.argsort(np.concatenate(places), kind="stable")
-        newest_us = np.maximum.accumulate(np.concatenate(stamps_us)[order])
-        at = np.searchsorted(np.concatenate(places)[order], [place for place, _, _ in self._values]) - 1
+        in_order, in_order_us = np.concatenate(places)[order], as_stamps(np.concatenate(stamps_us)[order])
+        ahead = ahead_of_neighbours(in_order_us)
+        ahead[0] = False
+        self._ahead = set(in_order[ahead].tolist())
+        return in_order[~ahead], in_order_us[~ahead]
+
+    def _timed_parameters(self) -> list[tuple[int, str, float]]:
+        """Each with the newest stamp before it in the file, which is when it changed; the start where there is none."""
+        newest_us = np.maximum.accumulate(self._stamps_us)
+        at = np.searchsorted(self._places, [place for place, _, _ in self._values]) - 1
         return [(int(t_us), name, value) for t_us, (_, name, value) in zip(newest_us[at], self._values, strict=True)]
 
     def _bytes(self, starts: Ints, count: int) -> Any:

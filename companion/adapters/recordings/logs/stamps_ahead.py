@@ -1,0 +1,32 @@
+"""Finds stamps of a log that damage has put far ahead: one that is followed takes the rest of the log with it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.records import Bools, Ints
+
+AHEAD_US = 1_000_000  # chosen: as on a link (adapters/mavlink/vehicle/clock_reset_detector.py)
+_FOLLOWING = 8  # messages that a stamp is held against: damage is rarely that of five in a row (choice)
+_LARGEST_US = 1 << 53  # 285 years; larger ones would overflow in nanoseconds (choice)
+
+
+def as_stamps(t_us: NDArray[np.uint64]) -> Ints:
+    """Unsigned stamps (n,) as signed ones; what is no time at all is far ahead."""
+    stamps_us: Ints = np.minimum(t_us, _LARGEST_US).astype(np.int64)
+    return stamps_us
+
+
+def ahead_of_neighbours(t_us: Ints) -> Bools:
+    """Which stamps (n,), in the order of the log, are more than 1 s ahead of most of the eight that follow.
+
+    Behind a gap the stamps stay ahead, so none is. The last of all has only the one before it.
+    """
+    ahead = np.zeros(t_us.size, dtype=np.bool_)
+    for last in np.flatnonzero(t_us[:-1] - t_us[1:] > AHEAD_US).tolist():
+        first, usual_us = max(last + 1 - _FOLLOWING, 0), np.median(t_us[last + 1 : last + 1 + _FOLLOWING])
+        ahead[first : last + 1] |= t_us[first : last + 1] > usual_us + AHEAD_US
+    if t_us.size > 1:
+        ahead[-1] |= t_us[-1] > t_us[-2] + AHEAD_US
+    return ahead
