@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_neighbours, as_stamps
+from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_end, ahead_of_neighbours, as_stamps
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -149,7 +149,8 @@ class DataflashLog:
         timed = [number for number, entry in self._formats.items() if entry.fits and entry.begins_with_time]
         places = np.flatnonzero(np.isin(self._types, timed))
         t_us = self._data[self._starts[places][:, None] + np.arange(3, 11)].view("<u8")[:, 0]
-        ahead = places[ahead_of_neighbours(as_stamps(t_us))]
+        stamps_us = as_stamps(t_us)
+        ahead = places[ahead_of_neighbours(stamps_us) | ahead_of_end(stamps_us)]
         self._starts, self._types = np.delete(self._starts, ahead), np.delete(self._types, ahead)
         return int(ahead.size)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_neighbours, as_stamps
+from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_end, ahead_of_neighbours, as_stamps
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -233,20 +233,26 @@ class UlogMessages:
             self._topics[number] = _Topic(name, instance, _layout(name, self._formats))
 
     def _timed(self) -> tuple[Ints, Ints]:
-        """Places of all stamped samples in the file's order and their stamps, us; the log's start comes first."""
-        places, stamps_us = [np.zeros(1, dtype=np.int64)], [np.array([self.start_us], dtype=np.uint64)]
+        """Places of all stamped samples in the file's order and their stamps, us; the log's start comes first.
+
+        A topic may be logged long after it was published, so that stamps are held against their own topic's; what is
+        logged once may have any stamp.
+        """
+        places, stamps_us = [np.zeros(1, dtype=np.int64)], [as_stamps(np.array([self.start_us], np.uint64))]
+        ahead, repeated = [np.zeros(1, dtype=np.bool_)], [np.zeros(1, dtype=np.bool_)]
         for topic in self._all():
             kind, offset = topic.layout.columns.get("timestamp", ("", 0))
             if kind == "<u8" and topic.starts:
                 starts = np.array(topic.starts, dtype=np.int64)
                 places.append(starts)
-                stamps_us.append(_column(self._bytes(starts, offset + 8), kind, offset))
+                stamps_us.append(as_stamps(_column(self._bytes(starts, offset + 8), kind, offset)))
+                ahead.append(ahead_of_neighbours(stamps_us[-1]))
+                repeated.append(np.full(starts.size, starts.size > 1))
         order = np.argsort(np.concatenate(places), kind="stable")
-        in_order, in_order_us = np.concatenate(places)[order], as_stamps(np.concatenate(stamps_us)[order])
-        ahead = ahead_of_neighbours(in_order_us)
-        ahead[0] = False
-        self._ahead = set(in_order[ahead].tolist())
-        return in_order[~ahead], in_order_us[~ahead]
+        in_order, in_order_us = np.concatenate(places)[order], np.concatenate(stamps_us)[order]
+        leaps = np.concatenate(ahead)[order] | (ahead_of_end(in_order_us) & np.concatenate(repeated)[order])
+        self._ahead = set(in_order[leaps].tolist())
+        return in_order[~leaps], in_order_us[~leaps]
 
     def _timed_parameters(self) -> list[tuple[int, str, float]]:
         """Each with the newest stamp before it in the file, which is when it changed; the start where there is none."""
