@@ -39,9 +39,14 @@ number = 1
 span_m = 0.454
 aft_m = 0.483
 edge = "leading"
+[[points]]
+number = 2
+span_m = -0.454
+aft_m = 0.483
+edge = "leading"
 [[runs]]
 file = "a.mat"
-points = [1, 1]
+points = [1, 2]
 """
 _LATENCY = b"""
 path = "gpio oak"
