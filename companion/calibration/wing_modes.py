@@ -115,7 +115,7 @@ def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[Bend
             continue
         sign = 1.0 if likeness > 0.0 else -1.0
         clamped, motion = ClampedHalf.of_points(points, sign), _mirrored_motion(mode, points, sign)
-        each = BendingMode(mode, sign, half_shape(mode, points, sign), clamped, motion, _chords(points))
+        each = BendingMode(mode, sign, half_shape(points, clamped, motion), clamped, motion, _chords(points))
         if each.moves_at_tip:
             bending.append(each)
     return bending
@@ -134,13 +134,13 @@ def _enough_points(modes: list[IdentifiedMode], points: list[Point]) -> None:
             raise ConfigError(f"no run of the layout measured point {point.number}: add its run or drop the point")
 
 
-def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:
-    """Both edges as polynomials in the span station, halves averaged, rigid motion of the root taken out.
+def half_shape(points: list[Point], clamped: ClampedHalf, motion: Floats) -> WingShape:
+    """Both edges as polynomials in the span station, halves averaged, less the root's part of ``motion`` (points,).
 
     The points' scatter is in the coefficients directly and by way of the root's motion, which is the same for both.
     """
     span = np.array([abs(point.span_m) for point in points])
-    mirrored = relative_to_root(mode, points, sign)
+    mirrored = clamped.bent @ motion
     leading = np.array([point.leading for point in points])
     edges, maps, sigmas = [], [], np.empty(len(points))
     for some in (leading, ~leading):
@@ -150,7 +150,7 @@ def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingSh
         edges.append(edge)
         maps.append(coefficients)
         sigmas[some] = edge.residual_sigma
-    scatter = np.vstack(maps) @ ClampedHalf.of_points(points, sign).bent * sigmas
+    scatter = np.vstack(maps) @ clamped.bent * sigmas
     return WingShape(edges[0], edges[1], scatter @ scatter.T)
 
 

@@ -423,33 +423,29 @@ def _bias_over_sigma(seed: int, astray_ratio: float) -> float:
     return 0.5 * math.fsum(over_sigma)
 
 
-def test_a_match_that_is_off_across_the_lines_is_left_out_of_the_flow() -> None:
-    """Ten matches 5 px beside their epipolar lines have wrong depths too: none of them tells the toe."""
-    view, filtered = (
-        _view(noise_rad=_NOISE_RAD),
-        EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior()),
-    )
+def _updated_with_ten_off_the_lines(view: FlowView, flow: FlowView) -> EpipolarUpdate:
+    """A filter after the view's matches, each fifteenth of them off across its line, and a flow."""
+    filtered = EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior())
     rays = dataclasses.replace(view.rays, right=view.rays.right.copy())
     rays.right[::15, 0] += 50.0 * _NOISE_RAD
-    update = filtered.update(rays, view.sigma_rad, FastBelief(np.zeros((3, 3))), 1, flow=view)
+    update = filtered.update(rays, view.sigma_rad, FastBelief(np.zeros((3, 3))), 1, flow=flow)
     assert isinstance(update, EpipolarUpdate)
+    return update
+
+
+def test_a_match_that_is_off_across_the_lines_is_left_out_of_the_flow() -> None:
+    """Ten matches 5 px beside their epipolar lines have wrong depths too: none of them tells the toe."""
+    view = _view(noise_rad=_NOISE_RAD)
+    update = _updated_with_ten_off_the_lines(view, view)
     assert 130 <= update.flow <= 140
 
 
 def test_a_flow_of_which_every_feature_is_off_across_the_lines_tells_nothing() -> None:
     """Dirt on a lens is tracked perfectly, and matches nothing: the pair counts as without flow."""
-    view, filtered = (
-        _view(noise_rad=_NOISE_RAD),
-        EpipolarFilter(Rig.from_airframe(load_airframe("nadir-2m")), ExtrinsicsPrior()),
-    )
-    rays = dataclasses.replace(view.rays, right=view.rays.right.copy())
-    rays.right[::15, 0] += 50.0 * _NOISE_RAD
+    view = _view(noise_rad=_NOISE_RAD)
     outlier = np.zeros(len(view.sigma_rad), dtype=np.bool_)
     outlier[::15] = True
-    dirt = view.without(~outlier)
-    update = filtered.update(rays, view.sigma_rad, FastBelief(np.zeros((3, 3))), 1, flow=dirt)
-    assert isinstance(update, EpipolarUpdate)
-    assert update.flow == 0
+    assert _updated_with_ten_off_the_lines(view, view.without(~outlier)).flow == 0
 
 
 def test_a_turn_is_integrated_where_rates_are_there() -> None:

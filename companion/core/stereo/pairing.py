@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from companion.records import Frame, FramePair, Reject, Rejected, Side
 
 _FORGET_NS = 2_000_000_000  # a frame without a partner for so long will get none (choice)
+
+
+class _FrameStamp(NamedTuple):
+    """Mid-exposure of a frame and its number."""
+
+    t_ns: int
+    number: int
+
+
+_BEFORE_ALL = _FrameStamp(-(2**62), 0)  # before the first frame (convention)
 
 
 @dataclass(slots=True)
@@ -25,18 +36,17 @@ class FramePairer:
     depth: int = 8
     next_id: int = 0
     _waiting: tuple[deque[Frame], deque[Frame]] = field(default_factory=lambda: (deque(), deque()))
-    _newest_ns: list[int] = field(default_factory=lambda: [-(2**62), -(2**62)])
-    _newest_number: list[int] = field(default_factory=lambda: [0, 0])
-    _behind: list[Frame | None] = field(default_factory=lambda: [None, None])
+    # stamp and number of each side's newest frame, and of the last that was older but of a later number
+    _newest: list[_FrameStamp] = field(default_factory=lambda: [_BEFORE_ALL, _BEFORE_ALL])
+    _behind: list[_FrameStamp | None] = field(default_factory=lambda: [None, None])
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
         """Take one frame. Give the pairs that it completes and the frames that remain without a partner."""
-        queue, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
+        queue, behind_ns = self._waiting[frame.side], self._newest[frame.side].t_ns - frame.mid_exposure_ns
         if 0 <= behind_ns <= _FORGET_NS and not self._newest_was_wrong(frame):
             return [], [self._lonely(frame)]
         unpaired = [self._lonely(queue.popleft()) for _ in range(len(queue))] if behind_ns > 0 else []
-        self._newest_ns[frame.side], self._newest_number[frame.side] = frame.mid_exposure_ns, frame.sequence
-        self._behind[frame.side] = None
+        self._newest[frame.side], self._behind[frame.side] = _FrameStamp(frame.mid_exposure_ns, frame.sequence), None
         queue.append(frame)
         pairs = self._match()
         return pairs, unpaired + self._expire(frame.mid_exposure_ns)
@@ -46,12 +56,11 @@ class FramePairer:
 
         One of them alone may itself have the wrong stamp.
         """
-        if frame.sequence <= self._newest_number[frame.side]:
+        if frame.sequence <= self._newest[frame.side].number:
             return False
-        before, self._behind[frame.side] = self._behind[frame.side], frame
-        if before is None or before.sequence >= frame.sequence:
-            return False
-        return before.mid_exposure_ns < frame.mid_exposure_ns
+        place = _FrameStamp(frame.mid_exposure_ns, frame.sequence)
+        before, self._behind[frame.side] = self._behind[frame.side], place
+        return before is not None and before.number < place.number and before.t_ns < place.t_ns
 
     def _match(self) -> list[FramePair]:
         left, right = self._waiting

@@ -12,7 +12,6 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
-from companion.core.wing.model import WingModel
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.sample_defects import worst_defects
 from companion.diagnosis.flights.adequacy import LIMIT, check
@@ -37,7 +36,7 @@ _STRAINED = 3.0  # prior sigmas from which on an effect may be of another size t
 _STRONG = 2.0  # prior sigmas of the strength of an effect that is begun at every place (choice)
 # scoring steps: of a refit, of one that goes on, of a fit, of a fold (choice)
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3
-_NEAR = 25.0  # nat behind after one step, up to which a start may lead to the higher maximum (choice)
+_NEAR = 25.0  # nat behind the model that it extends, beyond which a first fit is not yet there (choice)
 _GUARD_S = 0.5  # at either edge of a block: some periods of the first mode (choice)
 _BLOCK_S = 6.0  # shortest that holds exposures between its guards (choice)
 _MOST_BLOCKS = 6  # a bound on the cost
@@ -112,25 +111,22 @@ class Flights(Recordings[EffectTerm, FlightState]):
         wide = self._begun(fitted, [dataclasses.replace(reached.terms[-1], wider=UNPREJUDICED)])
         return wide if wide is not None and wide.log_evidence > reached.log_evidence else reached
 
-    def _begun(
-        self, fitted: FlightFit, starts: Iterable[EffectTerm], rounds: int = _AT_FIRST, values_alone: bool = False
-    ) -> FlightFit | None:
+    def _begun(self, fitted: FlightFit, starts: Iterable[EffectTerm]) -> FlightFit | None:
         """A few steps with an effect, from the first of some starts that is physical."""
         for term in starts:
             try:
-                return fit(self._models, (*fitted.terms, term), fitted, rounds, values_alone=values_alone)
+                return fit(self._models, (*fitted.terms, term), fitted, _AT_FIRST)
             except UNPHYSICAL:
                 continue
         return None
 
     def plausible(self, fitted: FlightFit) -> bool:
         """Whether what nature has one way only came out that way, and a further mode away from those that are there."""
-        belief, model = self._models[0].belief, self._models[0]
-        *others, effect = (term.effect for term in (*belief.terms, *fitted.terms))
+        model = self._models[0]
+        *others, effect = (term.effect for term in (*model.belief.terms, *fitted.terms))
         if effect.one_way and fitted.values[fitted.blocks[-1][0]] <= 0.0:
             return False
-        deviation = belief.named(fitted.values[: len(belief.nuisances)], model.recording)
-        return effect.is_distinct(WingModel(belief.wing(deviation), tuple(others)).structure)
+        return effect.is_distinct(model.structure(fitted.values[: len(model.belief.nuisances)], others))
 
     def checks(self, fitted: FlightFit) -> list[Check]:
         """Defects of the samples that have no name among the offered, and all tests of a fitted model."""

@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve
 
 from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
+from companion.core.wing.structure import Structure
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief, Nuisance, input_gains, is_range_only
@@ -108,9 +109,14 @@ class FlightModel:
         """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""
         deviation = self.belief.named(deviations, self.recording)
         effects = tuple(term.effect for term in self.belief.terms if term.effect.group is not Group.CAMERA)
-        structure = WingModel(self.belief.wing(deviation), effects).structure
+        structure = self.structure(deviations, effects)
         scale = np.ones(len(self.observations.sides))
         return spectrum_of(self._spectra.linear(structure, scale, effects, deviation), self._low)
+
+    def structure(self, deviations: Floats, effects: Sequence[Effect]) -> Structure:
+        """The wing's linear model at deviations (p,) from the belief, with some effects."""
+        deviation = self.belief.named(deviations, self.recording)
+        return WingModel(self.belief.wing(deviation), tuple(effects)).structure
 
     def log_likelihood(self, expectation: Expectation) -> float:
         """Log likelihood of the recording under an expectation, up to a constant."""

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, from_halves, halves, parameter
-from companion.core.wing.effects.damping.hysteresis import stretch_along
+from companion.core.wing.effects.damping.hysteresis import stretches_along
 from companion.records import Floats
 
-_YIELDS = (0.25, 0.5, 1.0, 2.0)  # of the deflection's rms: the first slips always, the last hardly (choice)
+_YIELDS = np.array([0.25, 0.5, 1.0, 2.0])  # of the deflection's rms: the first slips always, the last hardly (choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,5 @@ class GenericSlip(Effect):
 
     def remember(self, motion: ModalMotion) -> Floats:
         """Mean stretch of the springs along a whole motion, half by half, (2, m) m."""
-        deflection_m = np.ascontiguousarray(halves(motion.offset_m))
-        unit_m = float(np.std(deflection_m[0]))
-        return np.asarray(np.mean([stretch_along(deflection_m, ratio * unit_m) for ratio in _YIELDS], axis=0))
+        deflection_m = halves(motion.offset_m)
+        return np.asarray(stretches_along(deflection_m, np.std(deflection_m[0]) * _YIELDS).mean(0))

@@ -78,7 +78,7 @@ class BinRecording(OnboardLog):
             self.say(f"{self.log.skipped_bytes} bytes are no messages (damage), skipped")
         for name in self.log.misfits:
             self.say(f"the format of the messages {name} contradicts its own length (damage), they are left out")
-        self.say_leaps(self.log.leaps + self.log.sample_leaps)
+        self.say_leaps(self.log.leaps)
         dropped = self.log.take("DSF", "Dp").get("Dp")
         if dropped is not None and dropped.size and dropped.max():
             self.say(f"the autopilot dropped {int(dropped.max())} messages while logging")

@@ -14,7 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_end, ahead_of_neighbours, as_stamps
+from companion.adapters.recordings.logs.stamps_ahead import (
+    ahead_of_end,
+    ahead_of_messages,
+    ahead_of_neighbours,
+    as_stamps,
+)
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -81,9 +86,8 @@ class DataflashLog:
     """A log in memory; messages of a kind are taken out as arrays.
 
     ``skipped_bytes`` lie inside the log and belong to no message; ``cut_bytes`` are of the incomplete message at the
-    end. Messages whose ``TimeUS`` leaps ahead are left out and counted in ``leaps``, those whose ``SampleUS`` does, as
-    they are taken, in ``sample_leaps``. Kinds of messages whose fields are not as long as they are said to be are named
-    in ``misfits`` and passed over.
+    end. Messages whose ``TimeUS`` or ``SampleUS`` leaps ahead are left out and counted in ``leaps``. Kinds of messages
+    whose fields are not as long as they are said to be are named in ``misfits`` and passed over.
 
     Raises
     ------
@@ -107,7 +111,7 @@ class DataflashLog:
         self._types = types[intact]
         if not self._starts.size:
             raise RecordingError(f"{path}: no whole message in this log")
-        self.leaps = self._drop_leaps()
+        self._message_leaps = self._drop_leaps()
         self._sample_leaps: dict[str, int] = {}
 
     @property
@@ -116,9 +120,9 @@ class DataflashLog:
         return [entry.name for entry in self._formats.values() if not entry.fits]
 
     @property
-    def sample_leaps(self) -> int:
-        """Messages taken so far that were left out because their sample is said to be of long after them."""
-        return sum(self._sample_leaps.values())
+    def leaps(self) -> int:
+        """Messages that were left out for stamps that leap ahead; those for their sample's as they are taken."""
+        return self._message_leaps + sum(self._sample_leaps.values())
 
     def take(self, name: str, *needed: str) -> dict[str, Any]:
         """Give all messages of a kind as a dict of field name to array, in log order.
@@ -131,7 +135,7 @@ class DataflashLog:
             if entry.name == name and entry.fits and entry.has(needed):
                 table = self._table(number, entry)
                 if {"TimeUS", "SampleUS"} <= set(entry.fields):
-                    ahead = as_stamps(table["SampleUS"]) > as_stamps(table["TimeUS"]) + AHEAD_US
+                    ahead = ahead_of_messages(table["SampleUS"], table["TimeUS"])
                     self._sample_leaps[name], table = int(ahead.sum()), table[~ahead]
                 return {
                     field: _scaled(table[field], letter)

@@ -114,7 +114,7 @@ class UlogRecording(OnboardLog):
             self.say(f"the logger reports {many} of {lost_ms} ms in all")
         if self._log.damaged_bytes:
             self.say(f"{self._log.damaged_bytes} bytes are damaged and were left out")
-        self.say_leaps(self._log.leaps + self._log.sample_leaps)
+        self.say_leaps(self._log.leaps)
         self.say_truncated(self._log.cut_bytes)
 
     def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:

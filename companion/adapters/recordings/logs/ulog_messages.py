@@ -16,7 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.logs.stamps_ahead import AHEAD_US, ahead_of_end, ahead_of_neighbours, as_stamps
+from companion.adapters.recordings.logs.stamps_ahead import (
+    ahead_of_end,
+    ahead_of_messages,
+    ahead_of_neighbours,
+    as_stamps,
+)
 from companion.errors import RecordingError
 from companion.records import Ints
 
@@ -118,7 +123,7 @@ class UlogMessages:
                 rows = self._bytes(np.array(starts, dtype=np.int64), topic.layout.least_bytes)
                 table = {column: _column(rows, *place) for column, place in columns.items()}
                 if {"timestamp", "timestamp_sample"} <= columns.keys():
-                    ahead = as_stamps(table["timestamp_sample"]) > as_stamps(table["timestamp"]) + AHEAD_US
+                    ahead = ahead_of_messages(table["timestamp_sample"], table["timestamp"])
                     self._sample_leaps[name, instance] = int(ahead.sum())
                     table = {column: values[~ahead] for column, values in table.items()} if ahead.any() else table
                 return table
@@ -126,13 +131,8 @@ class UlogMessages:
 
     @property
     def leaps(self) -> int:
-        """Samples that are left out because their stamp is far ahead of their neighbours'."""
-        return len(self._ahead)
-
-    @property
-    def sample_leaps(self) -> int:
-        """Samples taken so far that were left out because they are said to be of long after their stamp."""
-        return sum(self._sample_leaps.values())
+        """Samples that are left out for stamps that leap ahead; those for ``timestamp_sample`` as they are taken."""
+        return len(self._ahead) + sum(self._sample_leaps.values())
 
     def _all(self) -> list[_Topic]:
         return [*self._finished, *(topic for topic in self._topics.values() if topic is not None)]

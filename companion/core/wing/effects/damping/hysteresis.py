@@ -55,8 +55,7 @@ class Hysteresis(Effect):
             return np.asarray(np.clip(stretches_m + (w_m - before_m), -reach_m[:, None], reach_m[:, None]))
         if w_m.ndim == 1:
             return np.asarray(np.clip(w_m, -reach_m[:, None], reach_m[:, None]))
-        path_m = np.ascontiguousarray(w_m)
-        return np.array([stretch_along(path_m, float(reach)) for reach in reach_m])
+        return stretches_along(w_m, reach_m)
 
 
 def stretch_along(deflection_m: Floats, reach_m: float) -> Floats:
@@ -64,3 +63,9 @@ def stretch_along(deflection_m: Floats, reach_m: float) -> Floats:
     stretch_m = np.empty_like(deflection_m)
     _slip(deflection_m, reach_m, stretch_m)
     return stretch_m
+
+
+def stretches_along(deflection_m: Floats, reaches_m: Floats) -> Floats:
+    """Stretches of springs in parallel, one of each reach (k,), along whole paths (h, m) from rest, (k, h, m)."""
+    paths_m = np.ascontiguousarray(deflection_m)
+    return np.array([stretch_along(paths_m, float(reach_m)) for reach_m in reaches_m])
