@@ -626,11 +626,12 @@ static void find_innovation_covariance(run *f, int64_t k, double noise_inflation
 }
 
 /* Innovations at the estimated bias parameters, with their covariance; both are noted in the history. */
-static void sum_innovation(run *f, int64_t slot)
+static void sum_innovation(run *f, int64_t k, int64_t slot)
 {
     double *innovation = f->h.innovation + slot * ROWS, *covariance = f->h.innovation_covariance + slot * ROWS * ROWS;
     const double *rows = f->h.whitened_innovation + slot * ROWS * f->h.width;
     memset(innovation, 0, ROWS * sizeof *innovation);
+    memcpy(f->h.lateral_gain + 2 * slot, f->lateral_gain + 2 * k, 2 * sizeof(double));
     for (int row = 0; row < ROWS; row++)
         memset(covariance + row * ROWS, 0, (size_t)(row + 1) * sizeof *covariance);
     for (int64_t r = 0; r < f->count; r++) {
@@ -868,7 +869,7 @@ static bool step(run *f, int64_t k, int64_t slot)
     double shaken = LOAD_VARIANCE_RATIO * struck_variance(f, k) / by_load;
     double noise_inflation = least(1.0 + shaken, MAX_NOISE_INFLATION);
     find_innovation_covariance(f, k, noise_inflation);
-    sum_innovation(f, slot);
+    sum_innovation(f, k, slot);
     if (!factorise(f, false))
         return false;
     bool gated = gate(f, k, innovation, f->h.gate_excess + slot * ROWS);

@@ -6,14 +6,14 @@
 
 typedef struct {
     const array *state, *covariance, *transition, *transition_index, *row_count, *whitened_H, *whitened_innovation,
-        *whitened_cross_cov, *static_m, *gate_excess, *innovation, *innovation_covariance;
+        *whitened_cross_cov, *static_m, *gate_excess, *innovation, *innovation_covariance, *lateral_gain;
 } history_record;
 
 /* Rings of `size` steps for n states and `width` columns. */
 typedef struct {
     int64_t size, n, width, transitions;
     double *state, *covariance, *transition, *whitened_H, *whitened_innovation, *whitened_cross_cov, *static_m,
-        *gate_excess, *innovation, *innovation_covariance;
+        *gate_excess, *innovation, *innovation_covariance, *lateral_gain;
     int64_t *transition_index, *row_count;
 } history;
 
@@ -36,6 +36,7 @@ static inline bool read_history(const history_record *record, history *h)
         .gate_excess = reals(record->gate_excess, 2, &good),
         .innovation = reals(record->innovation, 2, &good),
         .innovation_covariance = reals(record->innovation_covariance, 3, &good),
+        .lateral_gain = reals(record->lateral_gain, 2, &good),
         .transition_index = integers(record->transition_index, 1, &good),
         .row_count = integers(record->row_count, 1, &good),
     };
@@ -49,7 +50,8 @@ static inline bool read_history(const history_record *record, history *h)
            has_shape(record->whitened_H, size, ROWS, n) && has_shape(record->whitened_innovation, size, ROWS, width) &&
            has_shape(record->whitened_cross_cov, size, ROWS, n) && has_shape(record->static_m, size, width, -1) &&
            has_shape(record->gate_excess, size, ROWS, -1) && has_shape(record->innovation, size, ROWS, -1) &&
-           has_shape(record->innovation_covariance, size, ROWS, ROWS) && extent(record->transition_index, 0) == size &&
+           has_shape(record->innovation_covariance, size, ROWS, ROWS) &&
+           has_shape(record->lateral_gain, size, 2, -1) && extent(record->transition_index, 0) == size &&
            extent(record->row_count, 0) == size;
 }
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.core.tracking.row_noise import RowNoise
+from companion.core.tracking.row_noise import RowNoise, slopes_as_forces
 from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, Z_LEFT, SensorNoise
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
@@ -22,9 +22,8 @@ BELIEVED = SensorNoise(
     bias_time_s=100.0,
     sample_s=1e-3,
 )
-SCALE = np.where((np.arange(ROWS) >= Y_LEFT) & (np.arange(ROWS) < P_LEFT), 1.0 / GRAVITY_MPS2, 1.0)
 ROOT_Y = np.zeros(ROWS)
-ROOT_Y[Y_LEFT:P_LEFT] = 1.0, -1.0
+ROOT_Y[Y_LEFT:P_LEFT] = 1.0
 
 
 def predicted(noise: RowNoise, by_state: float) -> Floats:
@@ -37,8 +36,7 @@ def learned(innovation: Floats, by_state: float = 1.0, noise: RowNoise | None = 
     noise = noise or RowNoise(BELIEVED)
     for block in np.split(innovation, SECONDS):
         S = predicted(noise, by_state)
-        covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (len(block), ROWS, ROWS))
-        noise.learn(block * SCALE, covariance)
+        noise.learn(block, np.broadcast_to(np.tril(S), (len(block), ROWS, ROWS)))
     return noise
 
 
@@ -58,11 +56,25 @@ def test_a_rows_noise_is_found(ratio: float) -> None:
 
 
 def test_a_small_noise_is_found_beside_a_large_shared_one() -> None:
-    """The root's noise, 60 times a slope row's own: it cancels in the sum of both rows."""
+    """The root's noise, 60 times a slope row's own: it cancels in the difference of both rows."""
     ratio = learned(white(np.sqrt(4.0 * 2.0**2 + 1.0)) + shared(120.0)).ratio
     assert ratio[-1] == pytest.approx(100.0, rel=0.2), "sixty times two, and the hundred it is held at"
     assert np.all(ratio[:2] < 15.0)
     assert np.all(ratio[2:-1] == pytest.approx(2.0, rel=0.2))
+
+
+def test_a_root_that_is_still_again_is_known_as_such_in_gusts() -> None:
+    """The tips' vertical forces go up and down by the half, and with them what slopes are of a lateral force."""
+    noise, rng = RowNoise(BELIEVED), np.random.default_rng(8)
+    noise.root_y_variance = 50.0**2
+    signs = np.array([-1.0, 1.0])
+    for block in np.split(white(np.sqrt(5.0)) + shared(1.0), SECONDS):
+        gain = signs / (GRAVITY_MPS2 * (1.0 + 0.5 * rng.uniform(-1.0, 1.0, (len(block), 2))))
+        scale = np.ones((len(block), ROWS))
+        scale[:, Y_LEFT:P_LEFT] = gain
+        S = np.tril(predicted(noise, 1.0)) * scale[:, :, None] * scale[:, None, :]
+        noise.learn(*slopes_as_forces(block * scale, S, gain))
+    assert noise.ratio[-1] < 1.5
 
 
 def test_noise_of_one_sensor_is_not_anothers() -> None:
@@ -120,8 +132,8 @@ def _shaken(ratios: list[float]) -> list[bool]:
     """Whether the left tip is taken for shaken after each look at noise of these ratios; none: the tip is not heard."""
     noise, shaken, absent = RowNoise(BELIEVED), [], [Y_LEFT, P_LEFT]
     for k, ratio in enumerate(ratios):
-        covariance = np.tile(np.tril(predicted(noise, 1.0) * np.outer(SCALE, SCALE)), (STEPS, 1, 1))
-        innovation = np.sqrt(4.0 * ratio**2 + 1.0) * np.random.default_rng(k).standard_normal((STEPS, ROWS)) * SCALE
+        covariance = np.tile(np.tril(predicted(noise, 1.0)), (STEPS, 1, 1))
+        innovation = np.sqrt(4.0 * ratio**2 + 1.0) * np.random.default_rng(k).standard_normal((STEPS, ROWS))
         if not ratio:
             covariance[:, absent], covariance[:, :, absent], innovation[:, absent] = 0.0, 0.0, 0.0
         noise.learn(innovation, covariance)

@@ -302,6 +302,8 @@ class History(NamedTuple):
         Innovation of each row at the estimated bias parameters; 0 where the row was not used.
     innovation_covariance : (size, 9, 9) float64
         ``S`` as predicted, before any gate, of the rows that were used: lower half; else 0.
+    lateral_gain : (size, 2) float64
+        What the left and the right slope row are of a lateral force, s^2/m.
     """
 
     state: Floats
@@ -316,6 +318,7 @@ class History(NamedTuple):
     gate_excess: Floats
     innovation: Floats
     innovation_covariance: Floats
+    lateral_gain: Floats
 
 
 def make_history(size: int, states: int, parameters: int, rows: int) -> History:
@@ -333,4 +336,5 @@ def make_history(size: int, states: int, parameters: int, rows: int) -> History:
         gate_excess=np.zeros((size, rows)),
         innovation=np.zeros((size, rows)),
         innovation_covariance=np.zeros((size, rows, rows)),
+        lateral_gain=np.zeros((size, 2)),
     )

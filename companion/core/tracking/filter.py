@@ -20,7 +20,7 @@ from companion.core.kernels.filter_loops import filter_epochs
 from companion.core.tracking.bias_information import age_information, marginalise, solve_parameters
 from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
-from companion.core.tracking.row_noise import RowNoise
+from companion.core.tracking.row_noise import RowNoise, slopes_as_forces
 from companion.core.tracking.sensor_errors import ROOT_ERRORS, SENSOR_ERRORS
 from companion.core.tracking.slope_error import slope_factor_variance
 from companion.core.tracking.states import ROWS, SensorNoise, StateLayout
@@ -281,7 +281,7 @@ class SeparatedBiasFilter:
     def innovations(self, count: int, *, of_all: bool = False) -> tuple[Floats, Floats]:
         """Innovations (count, 9) of the newest steps and their covariance ``S + D P_c D^T`` (count, 9, 9), lower half.
 
-        P_c is of those bias parameters that a flight may teach, or of all: any one's share would pass for noise.
+        Slopes are lateral forces here. P_c is of the bias parameters that a flight may teach, or of all (for noise).
         """
         parameters = np.arange(len(self.bias_parameters)) if of_all else self._teachable
         P_c = self._bias_covariance[np.ix_(parameters, parameters)]
@@ -293,7 +293,7 @@ class SeparatedBiasFilter:
             whitened = self.history.whitened_innovation[slots[at], : len(rows)][:, :, parameters + 1]
             D = np.linalg.cholesky(covariance[block := np.ix_(at, rows, rows)]) @ whitened
             covariance[block] += np.tril(D @ P_c @ D.swapaxes(1, 2))
-        return self.history.innovation[slots], covariance
+        return slopes_as_forces(self.history.innovation[slots], covariance, self.history.lateral_gain[slots])
 
     def take_noise(self, noise: RowNoise, *, still: bool = False) -> bool:
         """Go on with other variances of rows and root; whether bias parameters begin anew. ``still``: no mode shows."""

@@ -25,7 +25,6 @@ from companion.core.tracking.nonnegative import nonnegative_least_squares
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, SensorNoise
 from companion.native.library import ARRAY, kernel
 from companion.records import Bools, Floats, Ints
-from companion.units import GRAVITY_MPS2
 
 _MIN_STEPS = 60  # chosen: their median square is right to a quarter
 _MEDIAN_OF_SQUARE = 0.4549  # derived: of a unit Gaussian's square, the median of chi-square with one degree
@@ -116,7 +115,7 @@ class RowNoise:
         Parameters
         ----------
         innovation : (n, 9) float64
-            Innovations; 0 where a row was absent.
+            Innovations, those of slopes as lateral forces, m/s^2; 0 where a row was absent.
         covariance : (n, 9, 9) float64
             Their covariance as predicted, lower half; 0 where a row was absent.
         """
@@ -167,6 +166,18 @@ class RowNoise:
         self._compare_strength()
 
 
+def slopes_as_forces(innovation: Floats, covariance: Floats, lateral_gain: Floats) -> tuple[Floats, Floats]:
+    """Innovations (n, 9) and their covariance (n, 9, 9) with the lateral forces that slopes were taken from, m/s^2.
+
+    ``lateral_gain`` (n, 2) is one over the vertical force, signed for the side. In gusts that forces follow the
+    columns of noise in slopes change from step to step, and with constant ones a noisy root would not be seen to be
+    still: what is orthogonal to its true columns says that other rows are known well.
+    """
+    scale = np.ones(innovation.shape)
+    np.divide(1.0, lateral_gain, out=scale[:, Y_LEFT:P_LEFT], where=lateral_gain != 0.0)
+    return innovation * scale, covariance * scale[:, :, None] * scale[:, None, :]
+
+
 def noise_terms(innovation: Floats, covariance: Floats, steps: Ints, rows: Ints, columns: Floats) -> Floats | None:
     """Couplings, squared scores and half squared changes of the scores at m steps, (s s + 2 s, m).
 
@@ -196,9 +207,9 @@ def noise_terms(innovation: Floats, covariance: Floats, steps: Ints, rows: Ints,
 
 
 def _columns() -> Floats:
-    """Columns (9, 6) by which the learned sources enter the rows; a slope is a lateral force over the vertical one."""
+    """Columns (9, 6) by which the learned sources enter the rows, slopes as lateral forces: the root's into both."""
     columns = np.zeros((ROWS, len(_LEARNED) + 1))
     for k, row in enumerate(_LEARNED):
-        columns[row, k] = 1.0 / GRAVITY_MPS2 if row < P_LEFT else 1.0
-    columns[Y_LEFT : Y_LEFT + 2, -1] = 1.0 / GRAVITY_MPS2, -1.0 / GRAVITY_MPS2
+        columns[row, k] = 1.0
+    columns[Y_LEFT:P_LEFT, -1] = 1.0
     return columns

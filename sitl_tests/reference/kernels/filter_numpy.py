@@ -85,6 +85,7 @@ def _filter_step(
     )
     S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation, state, one_and_bias)[np.ix_(used, used)]
     history.innovation[slot], history.innovation_covariance[slot] = 0.0, 0.0
+    history.lateral_gain[slot] = epochs.lateral_gain[k]
     history.innovation[slot, used], history.innovation_covariance[slot][np.ix_(used, used)] = row_innovation, np.tril(S)
     cholesky = _cholesky(S)
     if cholesky is None:
