@@ -13,7 +13,6 @@ from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
-from companion.diagnosis.spectral_matrices import adjoint
 from sitl_tests.unit.test_diagnosis_generic_effects import flown
 
 COUNT, DT_S = 4096, 0.01
@@ -93,8 +92,11 @@ def test_the_smoother_s_posterior_sigma_is_that_of_each_half(model: FlightModel)
     density = 0.0
     for k in range(2):
         prior = (np.abs(motion.linear.receptance[k]) ** 2 * motion.linear.load[k]).real
-        explained = np.sum(motion.smoother[k] * adjoint(motion.cross)[:, k], axis=0).real
-        density += float(np.sum((prior - explained)[1:]))
+        gain, recorded = motion.smoother[k], motion.spectrum
+        low = gain.shape[-1] - recorded.shape[-1]  # below the band the smoother is 0
+        spread = np.einsum("if,ijf,jf->f", gain[:, low:], recorded, gain.conj()[:, low:]).real
+        common = np.sum(gain * motion.cross[k].conj(), axis=0).real
+        density += float(np.sum((prior - 2.0 * common)[1:]) + np.sum(spread))
     expected_m = np.sqrt(2.0 * density * model.transforms.f_hz[1])
     assert motion._posterior_sigma_m(motion.smoother) == pytest.approx(expected_m, rel=1e-6)  # type: ignore[attr-defined]
     assert 0.0 < expected_m < 0.3 * np.std(motion.in_time[0][0])

@@ -26,9 +26,9 @@ from companion.diagnosis.data.recoil import RecoilDelay, recoil_delay
 from companion.diagnosis.data.rigid_motion import (
     bending_load,
     lateral_force,
+    roll_rate,
     roll_share,
     rotation_forces,
-    tip_axes_corrected,
     undo_lowpass,
 )
 from companion.diagnosis.data.sample_defects import (
@@ -38,6 +38,7 @@ from companion.diagnosis.data.sample_defects import (
     worst_defects,
 )
 from companion.diagnosis.data.segments import REQUIREMENT, Segment, Span, gaps_of, longest_stretch_s, segments_of
+from companion.diagnosis.data.tip_tilt import RigidTip, upright_force
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import Bools, Floats, Side
@@ -228,23 +229,26 @@ def _against_root(
         return root[:, None] - tips, root, None, None
     root = undo_lowpass(_on_grid(raw.root, t_s), rate_hz, airframe.root.lowpass_accel_hz)
     recoil = recoil_delay(tips, root, rate_hz, airframe)
-    tips, turning = _against_rigid(raw, tips, t_s, rate_hz, airframe)
+    tips, turning = _against_rigid(raw, tips, root, t_s, rate_hz, airframe)
     return root[:, None] - tips, root, turning, recoil
 
 
 def _against_rigid(
-    raw: RawRecording, tips: Floats, t_s: Floats, rate_hz: float, airframe: Airframe
+    raw: RawRecording, tips: Floats, root: Floats, t_s: Floats, rate_hz: float, airframe: Airframe
 ) -> tuple[Floats, Floats]:
-    """Tips (m, c) in the aircraft's axes without what its turning adds, and that, (m, c)."""
+    """Tips (m, c) in the aircraft's axes without what its turning adds, and that, (m, c), by the root's force (m,)."""
     sides, upright = sorted(raw.tips), tips.copy()
     rolled = roll_share(raw.rigid, t_s, rate_hz, airframe, tips)
     felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides, rolled)
     lateral = lateral_force(raw.rigid, t_s, rate_hz, airframe)
+    roll_radps = roll_rate(raw.rigid, t_s, rate_hz, airframe)
     for i, side in enumerate(sides):
         recorded = raw.tips[side].force_y_mps2
         if recorded is not None and lateral is not None:
             lateral_y = _on_grid(RawStream(raw.tips[side].t_s, recorded), t_s)
-            upright[:, i] = tip_axes_corrected(lateral_y, tips[:, i], lateral + felt[i, 1])
+            arm_m = (airframe.left, airframe.right)[side].position_m[1] - airframe.root.position_m[1]
+            rigid = RigidTip(lateral + felt[i, 1], root + felt[i, 2], roll_radps, arm_m)
+            upright[:, i] = upright_force(lateral_y, tips[:, i], rigid, airframe.wing, rate_hz)
     turning = felt[:, 2].T
     return upright - turning, turning
 

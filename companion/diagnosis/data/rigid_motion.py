@@ -1,4 +1,4 @@
-"""Specific force of the rigid aircraft at a tip, from the root's IMU, and the reading of a tip that is tilted.
+"""Specific force of the rigid aircraft at a tip, from the root's IMU.
 
 ``rigid`` are the root's further axes by letter, each with its own stamps: x, y in m/s^2, p, q, r in rad/s.
 """
@@ -16,7 +16,6 @@ from companion.records import Complexes, Floats, Side
 _Channels = Mapping[str, tuple[Floats, Floats]]
 
 _HARDLY = 0.02  # power gain of a filter, below which it is not undone (choice)
-_LEAST_FORCE_MPS2 = 3.0  # vertical force below which the lateral one does not show a tilt (choice)
 # of the first mode's frequency: full share up to the first, none from the second on, where recoil begins (choice)
 _BENT_WHOLE, _BENT_NOTHING = 0.3, 0.7
 # least coherence of roll and tips; least share of the tips' power from which incoherent roll is left in (choice)
@@ -121,6 +120,14 @@ def lateral_force(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airfr
     return _faded(recorded, rate_hz, _WHOLE_HZ, _NOTHING_HZ)
 
 
+def roll_rate(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe) -> Floats:
+    """The root's roll rate in manoeuvres, (m,); zeros where it was not recorded."""
+    if "p" not in rigid:
+        return np.zeros(len(t_s))
+    recorded = undo_lowpass(np.interp(t_s, *rigid["p"]), rate_hz, airframe.root.lowpass_gyro_hz)
+    return _faded(recorded, rate_hz, _WHOLE_HZ, _NOTHING_HZ)
+
+
 def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats:
     """Add to the root's specific force what is felt at ``arm_m`` (3,) from it, body FRD, (3, m).
 
@@ -130,20 +137,6 @@ def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats
     arm = arm_m[:, None]
     around = np.cross(rates_radps, arm, axis=0)
     return np.asarray(np.cross(angular_accel_radps2, arm, axis=0) + np.cross(rates_radps, around, axis=0))
-
-
-def tip_axes_corrected(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
-    """Vertical specific force, in the aircraft's axes, of a tip that the wing has tilted about x, (m,).
-
-    Bending makes no lateral force. The tilt A follows from what the tip reads of ``y`` beyond the rigid aircraft's,
-    ``tan A = (y - y_rigid) / z``, and is interpolated where the tip is nearly weightless.
-    """
-    loaded = np.abs(force_z) > _LEAST_FORCE_MPS2
-    if not loaded.any():
-        return force_z
-    at = np.arange(len(force_z))
-    tilt_rad = np.interp(at, at[loaded], np.arctan((force_y - rigid_y)[loaded] / force_z[loaded]))
-    return np.asarray((force_z + np.sin(tilt_rad) * rigid_y) / np.cos(tilt_rad))
 
 
 def _faded(values: Floats, rate_hz: float, whole_hz: float, nothing_hz: float) -> Floats:

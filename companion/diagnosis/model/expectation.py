@@ -40,6 +40,10 @@ class Motion(Protocol):
         """Modal deflection per acceleration, (n, c, f), zero below the band."""
 
     @property
+    def unknown(self) -> Complexes:
+        """Density of the deflection that the accelerations leave, (n, n, f), m^2/Hz."""
+
+    @property
     def whitener(self) -> Complexes:
         """Lower triangular L with L L^H the inverse spectrum, (c, c, b)."""
 

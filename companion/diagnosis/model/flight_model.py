@@ -61,7 +61,8 @@ class FlightModel:
         up = lineariser.recorded_mps2
         plain = self.transforms.spectrum(self.transforms.periodic(up))[:, :top]
         recorded = plain, self.transforms.tapered(up)[:, self._low : top]
-        self._grid = RecordedSpectra(lineariser, self.transforms, self._low, recorded)
+        onset = self.transforms.onset(self._low, top)
+        self._grid = RecordedSpectra(lineariser, self.transforms, self._low, recorded, onset)
         self._rigid: tuple[Complexes, Complexes] | None = None
         if lineariser.rigid_mps2 is not None:
             heave, turning = (self.transforms.spectrum(values)[..., :top] for values in lineariser.rigid_mps2)

@@ -24,12 +24,16 @@ _FADED = 0.3  # least fade by which the smoothed motion is divided: its errors g
 
 @dataclass(frozen=True, slots=True)
 class RecordedSpectra:
-    """Data that all models of a recording share: ``recorded`` is its spectrum, periodic from 0 or tapered in band."""
+    """Data that all models of a recording share: ``recorded`` is its spectrum, periodic from 0 or tapered in band.
+
+    ``onset`` (f,) is the share of the smoother's gain that is taken at each frequency.
+    """
 
     lineariser: SensorLineariser
     transforms: Transforms
     low: int
     recorded: tuple[Complexes, Complexes]
+    onset: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +161,11 @@ class SmoothedMotion:
         """Modal deflection per acceleration seen, (n, c, f), zero below the band."""
         return self._smoother()
 
+    @property
+    def unknown(self) -> Complexes:
+        """Density of the deflection that the accelerations leave, (n, n, f), m^2/Hz."""
+        return self._unknown(self.smoother)
+
     @cached_property
     def whitener(self) -> Complexes:
         """Lower triangular L with L L^H the inverse spectrum: L^H whitens, (c, c, b)."""
@@ -215,13 +224,17 @@ class SmoothedMotion:
     def _smoother(self) -> Complexes:
         gain = np.zeros_like(self.cross)
         gain[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
-        return gain
+        return gain * self._grid.onset
+
+    def _unknown(self, smoother: Complexes) -> Complexes:
+        """Density of what a smoother leaves; with a share o of Wiener's gain it explains o (2 - o) of what he does."""
+        linear = self.linear
+        prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
+        return prior - (2.0 - self._grid.onset) * product(smoother, adjoint(self.cross))
 
     def _posterior_sigma_m(self, smoother: Complexes) -> float:
         """Standard deviation that a smoother leaves of either half's first-mode deflection, m."""
-        linear = self.linear
-        prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
-        unknown = prior - product(smoother, adjoint(self.cross))
+        unknown = self._unknown(smoother)
         density = sum(unknown[k, k, 1:].real for k in range(min(2, len(unknown))))
         return float(np.sqrt(2.0 * self._transforms.f_hz[1] * np.sum(np.maximum(density, 0.0))))
 

@@ -16,7 +16,7 @@ from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.expectation import Motion
 from companion.diagnosis.model.generic_effects import PLAY, GenericToe, GenericToeVariance
 from companion.diagnosis.model.toe_regressors import of_unit_rms, taken_up, toe_regressors, toe_variance_regressors
-from companion.diagnosis.spectral_matrices import adjoint, full, product
+from companion.diagnosis.spectral_matrices import adjoint, product
 from companion.records import Complexes, Floats, Side
 
 _FINER = 8  # grid points a sample of the correlation function (choice)
@@ -115,11 +115,8 @@ class ToeModel:
 
     def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
         """Covariance of the toe that the accelerations leave, (k, k), rad^2; with a reference, that of its mean too."""
-        linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
-        prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
-        unknown = prior - product(motion.smoother, adjoint(motion.cross))
-        density = product(product(row, unknown), adjoint(row))[0, 0].real
+        density = product(product(row, motion.unknown), adjoint(row))[0, 0].real
         if not self._toe.has_reference:
             density[0] = 0.0  # the residual's mean is taken out
         m = _FINER * self._transforms.count
