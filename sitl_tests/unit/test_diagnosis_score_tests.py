@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import norm
 
 from companion.diagnosis.selection import score_tests
@@ -58,6 +60,28 @@ def test_the_best_of_several_places_pays_for_their_number() -> None:
     (alone,) = score_tests.ranked(places[:1], score[1:2], information[:1, :1]).candidates
     assert [norm.sf(entry.z) for entry in (best, alone)] == pytest.approx([3.0 * norm.sf(5.0), norm.sf(5.0)], rel=0.01)
     assert alone.log_odds - best.log_odds == pytest.approx(np.log(3.0))
+
+
+def test_an_effect_far_beyond_its_prior_is_as_strong_as_its_score() -> None:
+    """Ten prior sigmas of which the data tell each to 1.4: a score of 7 sigma, of which the narrow prior leaves 4."""
+    information = np.array([[0.5]])
+    narrow, wide = (score_tests.Tested(Named("off"), np.ones(1), wider=factor) for factor in (1.0, 5.0))
+    (believed,) = score_tests.ranked([narrow], np.array([5.0]), information).candidates
+    (offered,) = score_tests.ranked([wide], np.array([5.0]), information).candidates
+    assert believed.z < 4.2
+    assert 6.5 < offered.z < 7.1
+    assert offered.is_far
+    (expected,) = score_tests.ranked([wide], np.array([70.0]), np.array([[100.0]])).candidates
+    assert not expected.is_far, "seven tenths of a prior sigma, told to a tenth"
+
+
+@given(score=st.floats(-30.0, 30.0), information=st.floats(1e-3, 1e6))
+def test_no_prior_makes_a_score_stronger_than_it_is(score: float, information: float) -> None:
+    """The score in its own sigmas is an upper bound, whatever the priors."""
+    tested = score_tests.Tested(Named("any"), np.ones(1), wider=5.0)
+    scores = np.array([score * np.sqrt(information)])
+    (candidate,) = score_tests.ranked([tested], scores, np.array([[information]])).candidates
+    assert candidate.z <= abs(score) + 1e-6
 
 
 def test_two_sides_of_one_term_are_one_place() -> None:

@@ -100,13 +100,13 @@ class Flights(Recordings[EffectTerm, FlightState]):
         if type(offered.term.effect).multimodal and reached.log_evidence > fitted.log_evidence:
             elsewhere = (self._begun(fitted, [term]) for term in _strong_at_each_place(reached.terms[-1]))
             reached = max([reached, *filter(None, elsewhere)], key=lambda entry: entry.log_evidence)
-        return offered, self._unstrained(fitted, reached)
+        return offered, self._unstrained(fitted, reached, candidate.is_far)
 
-    def _unstrained(self, fitted: FlightFit, reached: FlightFit) -> FlightFit:
-        """The last effect under a wide prior, where it lies far out in its own and the wide one has more evidence."""
+    def _unstrained(self, fitted: FlightFit, reached: FlightFit, is_far: bool) -> FlightFit:
+        """The last effect under a wide prior, where its score or its place asks for it and that has more evidence."""
         block = list(reached.blocks[-1])
         beyond = np.abs(reached.values[block] - reached.centres[block]) / reached.sigmas[block]
-        if np.max(beyond) < _STRAINED:
+        if not is_far and np.max(beyond) < _STRAINED:
             return reached
         wide = self._begun(fitted, [dataclasses.replace(reached.terms[-1], wider=UNPREJUDICED)])
         return wide if wide is not None and wide.log_evidence > reached.log_evidence else reached

@@ -12,6 +12,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightFit, derivatives, expect, joint_scores
 from companion.diagnosis.model.scores import Column
+from companion.diagnosis.selection.forward_selection import UNPREJUDICED
 from companion.diagnosis.selection.score_tests import Candidate, Screening, Tested, efficient, ranked
 from companion.records import Floats
 
@@ -49,7 +50,7 @@ def screen(
             rest = _of_slight(models, null, term, count, wide)
         new_columns = [[*recording, *further] for recording, further in zip(new_columns, rest, strict=True)]
         columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
-        tested.append(Tested(term, sigmas, side, term.effect.one_way or term.effect.hinged))
+        tested.append(Tested(term, sigmas, side, term.effect.one_way or term.effect.hinged, UNPREJUDICED))
         progress((done + 1) / len(sided))
     score, information = efficient(*joint_scores(models, null.state.expectations, columns), null)
     wider = _score_scatter(models, null, tested)

@@ -65,6 +65,8 @@ class Candidate(Generic[TermT]):
         Efficient, in units of the prior sigmas.
     direction : (d,)
         Unit vector of the step to the predicted maximum, in prior sigmas.
+    is_far : bool
+        Whether a wide prior promises more evidence than the declared one: the effect is of another size than expected.
     """
 
     term: TermT
@@ -74,6 +76,7 @@ class Candidate(Generic[TermT]):
     score: Floats = field(default_factory=lambda: np.zeros(0))
     information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     direction: Floats = field(default_factory=lambda: np.zeros(0))
+    is_far: bool = False
 
     @property
     def name(self) -> str:
@@ -102,12 +105,16 @@ class Screening(Generic[TermT]):
 
 @dataclass(frozen=True, slots=True)
 class Tested(Generic[TermT]):
-    """A term, the prior sigmas of its parameters, to which side it was moved, and whether nature has one side only."""
+    """A term, the prior sigmas of its parameters, to which side it was moved, and whether nature has one side only.
+
+    It is tested under a second prior, ``wider`` times as wide, too (1: there is none).
+    """
 
     term: TermT
     sigmas: Floats
     side: float = 1.0
     one_way: bool = False
+    wider: float = 1.0
 
 
 def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) -> tuple[Floats, Floats]:
@@ -171,14 +178,24 @@ def _candidate(tested: Tested[TermT], score: Floats, information: Floats, log_tr
     if not telling.any() or (tested.one_way and tested.side * score[0] < 0.0):
         return Candidate(term, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
     along = vectors[:, telling].T @ score
-    # with the prior, so that a strength far beyond what is physical counts less
-    power = float(np.sum(along**2 / (values[telling] + 1.0)))
-    # a direction with less than a tenth of the prior's information is no degree of freedom
-    freedom = max(int(np.sum(values > 0.1)), 1)
-    z = normal_score(min(float(chi2.logsf(power, freedom)) + log_trials, 0.0))
-    odds = 0.5 * power - log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
+    z, odds = _strength(along, values[telling], log_trials)
+    far = False
+    if tested.wider > 1.0:  # a wide prior is one of two that a strength may have
+        by = tested.wider
+        wide_z, wide_odds = _strength(by * along, by**2 * values[telling], log_trials + math.log(2.0))
+        far, z, odds = wide_odds > odds, max(z, wide_z), max(odds, wide_odds)
     odds += math.log(2.0) if tested.one_way else 0.0  # half a normal prior is twice as dense
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
-    return Candidate(term, z, odds, spread, score, information, step / length if length else step)
+    return Candidate(term, z, odds, spread, score, information, step / length if length else step, far)
+
+
+def _strength(along: Floats, informations: Floats, log_trials: float) -> tuple[float, float]:
+    """Standard normal equivalent and log odds of independent scores (d,), of informations (d,) in prior sigmas."""
+    # with the prior, so that a strength far beyond what is physical counts less
+    power = float(np.sum(along**2 / (informations + 1.0)))
+    # a direction with less than a tenth of the prior's information is no degree of freedom
+    freedom = max(int(np.sum(informations > 0.1)), 1)
+    z = normal_score(min(float(chi2.logsf(power, freedom)) + log_trials, 0.0))
+    return z, 0.5 * power - log_trials - 0.5 * float(np.sum(np.log1p(informations)))
