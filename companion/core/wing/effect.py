@@ -224,6 +224,13 @@ class Effect:
         del motion
         return None
 
+    def mean_derivative(self, motion: ModalMotion, weight: Floats) -> Floats:
+        """Mean derivative (h, m) of a half's force by its deflection k samples before, (rad/s)^2, k from 0 to m - 1.
+
+        Only of effects that ``remember``. ``motion`` is a whole one; ``weight`` (m,) is that of a sample in the mean.
+        """
+        raise NotImplementedError(f"effect '{self.name}' remembers and needs a mean_derivative()")
+
     def kick_spectrum(self, omega_radps: Floats, count: int, start_s: float, stop_s: float) -> Complexes:
         """Fourier transform (count, f) of the modal loads of a ``transient`` effect between two times, from the first.
 

@@ -57,7 +57,7 @@ class FlightModel:
         self._toe_alone = toe_alone
         self.weight = 0.0 if toe_alone else self.transforms.weight * observations.recorded_ratio
         self._spectra = Spectra(belief.airframe, observations.sides, all_hz[:top], observations.has_root)
-        lineariser = SensorLineariser(observations, self.transforms, first_hz)
+        lineariser = SensorLineariser(observations, self.transforms)
         up = lineariser.recorded_mps2
         plain = self.transforms.spectrum(self.transforms.periodic(up))[:, :top]
         recorded = plain, self.transforms.tapered(up)[:, self._low : top]

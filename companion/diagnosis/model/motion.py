@@ -120,7 +120,8 @@ class SmoothedMotion:
         structure, linearised = self._wing.structure, forces.linearised
         stiffness = structure.stiffness_radps2 - linearised.per_q
         damping = structure.damping_radps - linearised.per_qdot
-        if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
+        lasting = 0.0 if linearised.filtered is None else np.einsum("iif->if", linearised.filtered)[:, 0].real
+        if np.any(np.diag(stiffness) <= lasting) or np.any(np.diag(damping) <= 0.0):
             raise ValueError("these forces make the wing unstable")
         effective = replace(structure, stiffness_radps2=stiffness, damping_radps=damping)
         self._take(linear_of(effective, linearised.filtered))

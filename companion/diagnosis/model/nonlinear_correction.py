@@ -2,7 +2,7 @@
 
 Both are split. The mean slope of a force's law acts as stiffness and damping. The geometric mean slope of a reading's
 law acts as a scale, because ln det S then holds the Jacobian of the law. The rest is taken out of the data. A law with
-memory has no slope at an instant: band by band its part that is correlated with the motion acts as a linear filter.
+memory has a slope by the deflection at every instant before: their mean acts as a linear filter.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from companion.diagnosis.spectral_matrices import apply
 from companion.records import Complexes, Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
-_USUAL_HZ = 5.0  # first mode if not given; it matters for laws with memory alone (choice)
 _BUMP = 1e-3  # of the standard deviation, for a difference quotient (numerical)
 _BUMP_OF_MOTION = 0.05  # of its standard deviation, for a difference quotient across a kink (choice)
 _NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
@@ -41,7 +40,7 @@ _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 class StatisticalLinearisation:
     """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2.
 
-    ``filtered`` (n, n, f) per deflection is what a law with memory has at each frequency beyond these; None without.
+    ``filtered`` (n, n, f) per deflection is what laws with memory are on average, (rad/s)^2; None without.
     """
 
     per_q: Floats
@@ -51,10 +50,10 @@ class StatisticalLinearisation:
 
 
 class SensorLineariser:
-    """One recording's samples and what effects have done to them; ``first_hz`` is believed of the first mode."""
+    """One recording's samples and what effects have done to them."""
 
-    def __init__(self, observations: Observations, transforms: Transforms, first_hz: float = _USUAL_HZ) -> None:
-        self._observations, self._transforms, self._first_hz = observations, transforms, first_hz
+    def __init__(self, observations: Observations, transforms: Transforms) -> None:
+        self._observations, self._transforms = observations, transforms
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(observations.up_mps2.T)
         self._t_s: Any = observations.t_s
@@ -142,13 +141,10 @@ class SensorLineariser:
             per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), sigma_m, rest)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
         rest = rest + self._total(wing, steady, q_m, qdot_mps)
-        filtered: Complexes | None = None
-        slipped = self._total(wing, lasting, q_m, qdot_mps)
-        if np.any(slipped):
-            weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
-            per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
-            beyond, filtered = self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
-            rest = rest + beyond
+        filtered = self._mean_filter(wing, lasting, q_m, qdot_mps) if lasting else None
+        if filtered is not None:
+            linear = np.fft.irfft(apply(filtered, np.fft.rfft(q_m, axis=1)), q_m.shape[1], axis=1)
+            rest = rest + self._total(wing, lasting, q_m, qdot_mps) - linear
         for term in impulses:
             rest = rest + self._short(wing, term.effect)
         return StatisticalLinearisation(per_q, per_qdot, rest, filtered)
@@ -203,40 +199,31 @@ class SensorLineariser:
                     )
         return slopes[0], slopes[1]
 
-    def _regressed(self, force: Floats, basis: Floats) -> Floats:
-        """Weights (n, k) of a basis (k, m) that come nearest to a force (n, m)."""
-        weighed = self._weight * basis
-        scale = np.sqrt(np.maximum(np.sum(weighed * basis, axis=1), 1e-300))
-        gram = (weighed @ basis.T) / np.outer(scale, scale)
-        weights = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
-        return np.asarray(weights.T)
+    def _mean_filter(self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Complexes:
+        """Forces with memory as the filter (n, n, f) of the motion that they are on average, (rad/s)^2.
 
-    def _uncorrelated(self, rest: Floats, q_m: Floats) -> tuple[Floats, Complexes]:
-        """Part (n, m) of a force that no linear filter of the motion makes, band by band, and that filter (n, n, f).
-
-        Bands are as wide as the first mode's frequency and lie about its multiples: wider than any resonance, for a
-        filter that follows one follows chance, and takes the part of the force that drives the mode there.
+        It is the transform of the mean derivative by the deflection at each lag. It is causal, and so ln det S of it
+        changes by what it damps at every instant: nothing, where no force follows the speed. A filter regressed band by
+        band is not causal: its ln det S rewards slipping itself.
         """
-        taper = self._transforms.taper
-        spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
-        count = spectrum.shape[1]
-        width = self._first_hz * self._transforms.count * self._transforms.dt_s
-        first = np.append(0, np.arange(0.5 * width, count, width).astype(np.int64))
-        power = np.add.reduceat(motion[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
-        with_force = np.add.reduceat(wanted[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
-        total = np.trace(power, axis1=1, axis2=2).real
-        power += (1e-9 * total + 1e-300)[:, None, None] * np.eye(len(motion))
-        filters: Complexes = np.asarray(
-            np.linalg.solve(power.swapaxes(1, 2), with_force.swapaxes(1, 2)).swapaxes(1, 2), dtype=np.complex128
-        )
-        in_each = np.repeat(filters.transpose(1, 2, 0), np.diff(np.append(first, count)), axis=-1)
-        spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
-        return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1)), in_each
+        filtered = np.zeros((len(q_m), len(q_m), q_m.shape[1] // 2 + 1), dtype=np.complex128)
+        for term in terms:
+            motion = self._modal_motion(wing, term, q_m, qdot_mps)
+            each = np.fft.rfft(term.effect.mean_derivative(motion, self._weight), axis=1)
+            mean, against = 0.5 * (each[0] + each[-1]), 0.5 * (each[-1] - each[0])
+            filtered[0, 0] += mean
+            if len(each) > 1:
+                filtered[1, 1] += mean
+                filtered[0, 1] += against
+                filtered[1, 0] += against
+        return filtered
 
     def _force(self, wing: WingModel, term: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
-        static = np.zeros((wing.count, 1))
+        return term.effect.force(self._modal_motion(wing, term, q, qdot))
+
+    def _modal_motion(self, wing: WingModel, term: EffectTerm, q: Floats, qdot: Floats) -> ModalMotion:
         follows = self._observations.covariates.get(term.channel, self._nothing)
-        return term.effect.force(ModalMotion(self._t_s, q, qdot, static, 1.0, wing.structure, follows))
+        return ModalMotion(self._t_s, q, qdot, np.zeros((wing.count, 1)), 1.0, wing.structure, follows)
 
     def _short(self, wing: WingModel, effect: Effect) -> Floats:
         """Loads (n, m) that last for less than a sample and follow no motion, without what no sample can hold; kept."""

@@ -13,6 +13,7 @@ from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats
 
 _slip = kernel("slipping_spring", ARRAY, REAL, ARRAY)
+_derive = kernel("slipping_spring_derivatives", ARRAY, REAL, ARRAY, ARRAY)
 
 
 _YIELDS = np.array([0.2, 0.6, 1.0, 1.4, 1.8])
@@ -47,6 +48,11 @@ class Hysteresis(Effect):
         """How far each half's springs are stretched, and where that half is, (springs + 1, 2) m."""
         return np.concatenate([self._stretches(motion), halves(motion.offset_m)[None]])
 
+    def mean_derivative(self, motion: ModalMotion, weight: Floats) -> Floats:
+        """Share of the stiffness less what the springs follow at each lag before, half by half, (h, m)."""
+        followed = derivatives_along(halves(motion.offset_m), np.abs(self.yield_m) * _YIELDS, weight)
+        return softened(self.share * motion.half_stiffness_radps2, followed)
+
     def _stretches(self, motion: ModalMotion) -> Floats:
         """Stretch of each spring, (springs, 2, ...) m."""
         w_m, reach_m = halves(motion.offset_m), np.abs(self.yield_m) * _YIELDS
@@ -69,3 +75,23 @@ def stretches_along(deflection_m: Floats, reaches_m: Floats) -> Floats:
     """Stretches of springs in parallel, one of each reach (k,), along whole paths (h, m) from rest, (k, h, m)."""
     paths_m = np.ascontiguousarray(deflection_m)
     return np.array([stretch_along(paths_m, float(reach_m)) for reach_m in reaches_m])
+
+
+def derivatives_along(deflection_m: Floats, reaches_m: Floats, weight: Floats) -> Floats:
+    """Mean derivative of the springs' mean stretch by the deflection at each lag before, (h, m).
+
+    ``weight`` (m,) is that of each sample in the mean. A spring that holds is stretched by what the deflection has
+    moved since it last slipped: its derivative is 1 at once and -1 at that lag. It is causal and has no part
+    by speed.
+    """
+    paths_m, lags = np.ascontiguousarray(deflection_m), np.zeros(deflection_m.shape)
+    for reach_m in reaches_m:
+        _derive(paths_m, float(reach_m), weight, lags)
+    return lags / (np.sum(weight) * len(reaches_m))
+
+
+def softened(slipping_radps2: float, followed: Floats) -> Floats:
+    """Derivative (h, m) of the force that slipping takes away, of springs whose stretch has the derivative given."""
+    taken = -slipping_radps2 * followed
+    taken[:, 0] += slipping_radps2
+    return taken
