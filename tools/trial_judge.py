@@ -27,6 +27,8 @@ from tools.trial_plan import Trial
 from tools.trial_truths.cases import Hidden, Tables
 from tools.trial_truths.strengths import IN_SAMPLES
 
+_SIGMAS_OF_95_PERCENT = 1.96  # derived: of a normal distribution, two-sided
+
 
 def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:
     """Diagnose one recording, then open its label."""
@@ -98,6 +100,7 @@ def judge(
     else:
         right = len(named) == len(hidden) and all(any(name in group for group in groups) for name in hidden)
         exact = sorted(named) == hidden
+    error = _error_in_sigmas(label, diagnosis, units) if exact and len(hidden) == 1 else None
     return {
         "hidden": label.effects,
         "sigmas": {
@@ -115,18 +118,20 @@ def judge(
         "z": [cause.z for cause in diagnosis.causes],
         "right": bool(right and diagnosis.verdict in ("explained", "adequate")),
         "exact": bool(exact and diagnosis.verdict in ("explained", "adequate")),
-        "inside_95": _inside(label, diagnosis, units) if exact and len(hidden) == 1 else None,
+        "error_in_sigmas": error,
+        "inside_95": None if error is None else abs(error) < _SIGMAS_OF_95_PERCENT,
         "gain": diagnosis.gain.log_score["total"][0] if diagnosis.gain is not None else None,
         "worst_checks": [[entry.name, entry.z] for entry in diagnosis.after[:3]],
         "cpu_s": seconds,
     }
 
 
-def _inside(label: Hidden, diagnosis: FlightDiagnosis, units: Mapping[str, float]) -> bool | None:
-    """Whether the hidden magnitude lies in the interval of the parameter that it is."""
+def _error_in_sigmas(label: Hidden, diagnosis: FlightDiagnosis, units: Mapping[str, float]) -> float | None:
+    """Error of the parameter that the hidden magnitude is, over its sigma; positive where it came out too strong."""
     ((name, truth),) = label.effects.items()
     cause = diagnosis.causes[0]
     if name in IN_SAMPLES or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
         return None  # identified by amplitude and phase, or without a fit
     which = label.side if name in ("accel-scale", "accel-bias") else 0
-    return abs(cause.values[which] - truth * units.get(name, 1.0)) < 1.96 * cause.sigmas[which]
+    true = truth * units.get(name, 1.0)
+    return float(np.sign(true) * (cause.values[which] - true) / cause.sigmas[which])

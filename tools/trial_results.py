@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 Rows = Sequence[dict[str, Any]]
 _Z = 1.959964
 _WANTED = {
@@ -139,7 +141,12 @@ def _intervals(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:
     if not inside:
         return {}
     wanted = _WANTED["interval", None, "truth inside 95 %"]
-    return {("intervals", "truth inside 95 %"): (_proportion(sum(inside), len(inside)), wanted)}
+    figures = {("intervals", "truth inside 95 %"): (_proportion(sum(inside), len(inside)), wanted)}
+    errors = [row["error_in_sigmas"] for row in rows if row.get("error_in_sigmas") is not None]
+    if errors:
+        mean, rms = np.mean(errors), math.sqrt(np.mean(np.square(errors)))
+        figures["intervals", "error over sigma: mean, rms"] = (f"{mean:+.2f}, {rms:.2f}", "")
+    return figures
 
 
 def _gains(rows: Rows) -> dict[tuple[str, str], tuple[str, str]]:

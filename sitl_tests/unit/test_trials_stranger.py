@@ -103,6 +103,16 @@ def test_what_is_hidden_is_as_strong_as_asked(name: str) -> None:
     assert label.strength(name, 20.0) == pytest.approx(8.0, rel=1e-6)
 
 
+def test_a_wing_that_breaks_in_every_gust_is_flown_in_calmer_air() -> None:
+    """A spring that softens to nothing at 26 mm, and a gust that bends the wing by as much in every minute."""
+    label = hide(["cubic-stiffness"], (13.5, 13.6), np.random.default_rng(3))
+    label = dataclasses.replace(
+        label, effects={"cubic-stiffness": -1218.0}, extra=label.extra | {"loudness": 2.0, "manoeuvres": 0.0}
+    )
+    (tables,) = fly_all([label], [20.0], 3, 20.0)
+    assert np.all(np.isfinite(tables.force_z_mps2))
+
+
 def test_a_wing_that_breaks_is_flown_again_in_another_gust(monkeypatch: pytest.MonkeyPatch) -> None:
     label, flown = hide([], (8.0, 8.0), np.random.default_rng(4)), []
 
