@@ -91,7 +91,9 @@ def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -
     kalman, activity = tracker._kalman, tracker._activity
     assert activity.deflection_sigmas < 3.0
     q = kalman.layout.families[1].q
-    sigma_m = math.sqrt(stationary(kalman.layout, kalman.noise, kalman.model)[q, q])
+    gust_m2 = stationary(kalman.layout, kalman.noise, kalman.model)[q, q]
+    by_constants = kalman.state_and_sensitivity[q, 1:]
+    sigma_m = math.sqrt(gust_m2 + by_constants @ kalman.bias_parameter_covariance @ by_constants)
     kalman.state_and_sensitivity[q, 0] += 7.0 * sigma_m - kalman.state[q]
     second = round(1.0 / kalman.model.step_s)
     activity.update(kalman, second, kalman.model.step_s)
@@ -265,3 +267,21 @@ def test_an_unknown_trim_bend_is_not_predicted_to_swing() -> None:
     slope_radpm = plain_airframe().wing.symmetric.slope_factor_radpm.value
     by_a_swing_radps = 2.0 * math.pi * state.symmetric.frequency_hz * 0.02 * slope_radpm
     assert sigmas[1] < sigmas[0] + 0.1 * by_a_swing_radps
+
+
+def test_a_deflection_that_an_unknown_constant_explains_contradicts_no_model() -> None:
+    """A misalignment that is only considered moves the deflection by several of the gusts' sigmas."""
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    t, values = swinging(3.4, 0.004)
+    for station, v in values.items():
+        tracker.add(batch(station, t, v))
+    assert tracker.advance(EPOCH_NS + 3400 * MS) is not None
+    kalman, activity = tracker._kalman, tracker._activity
+    q = kalman.layout.families[1].q
+    sigma_m = math.sqrt(stationary(kalman.layout, kalman.noise, kalman.model)[q, q])
+    parameter_sigma = math.sqrt(kalman.bias_parameter_covariance[0, 0])
+    kalman.state_and_sensitivity[q, 1:] = 0.0
+    kalman.state_and_sensitivity[q, 1] = 3.0 * sigma_m / parameter_sigma
+    kalman.state_and_sensitivity[q, 0] += 7.0 * sigma_m - kalman.state[q]
+    activity.update(kalman, round(1.0 / kalman.model.step_s), kalman.model.step_s)
+    assert activity.deflection_sigmas == pytest.approx(7.0 / math.hypot(1.0, 3.0))

@@ -26,7 +26,11 @@ _LEAST_ROWS = 250  # chosen: half a second of both tips, of which chance makes n
 
 
 class FirstMoments:
-    """Whether the first moments are rows of the measurement; once left out they stay so for the flight."""
+    """Whether the first moments are rows of the measurement; once left out they stay so until lift-off, or for good.
+
+    They are judged from the second fit on: a gust that is only believed, or fitted to one second, may change otherwise
+    inside an epoch.
+    """
 
     def __init__(self) -> None:
         self.left_out = False

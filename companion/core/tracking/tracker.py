@@ -105,7 +105,7 @@ class WingTracker:
 
     def lifted_off(self) -> None:
         """Start again without what rolling over bumps has taught; trusted again once the filter has settled."""
-        learned, self._row_noise = self._activity.learned, RowNoise(self._noise)
+        self._row_noise, self._first_moments, learned = RowNoise(self._noise), FirstMoments(), self._activity.learned
         self._restart()
         self._activity.learned = learned
 
@@ -192,8 +192,8 @@ class WingTracker:
             self._kalman.run(segment)
             passed_s = segment.length * self._step_s
             self.contradiction.update(self._kalman, self._activity.deflection_sigmas, passed_s)
-            fitted = self._adaptation.fits > 1  # a gust that is only believed may change otherwise inside an epoch
-            left_out = fitted and self._first_moments.contradict(self._kalman, segment.length, passed_s)
+            judged = self._adaptation.fits > 1
+            left_out = judged and self._first_moments.contradict(self._kalman, segment.length, passed_s)
             if (left_out and self._adaptation.early) or self.contradiction.too_long or not self._kalman.finite:
                 self._restart()
                 break
@@ -239,16 +239,16 @@ class WingTracker:
 
     def _take(self, new: NewParameters) -> None:
         """Take new parameters unless they make the measurements inconsistent."""
-        self._readaptation = None
-        self._row_noise = new.row_noise
+        self._readaptation, self._row_noise = None, new.row_noise
         if self._kalman.take_noise(new.row_noise, still=self._activity.still):
             self._reopened_ns, self._manoeuvre_error = self._next_ns, ManoeuvreError()
-        model = new.model
+        model, self._refused = new.model, False
         if new.tried is not None:
             if remaining := self._trial_epochs[new.segments :]:
                 new.tried.run(join(remaining))
             self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
-            self._refused |= self._first_moments.contradict_trial(new.tried, self._trial_epochs, self._step_s)
+            if self._adaptation.fits > 1:
+                self._refused |= self._first_moments.contradict_trial(new.tried, self._trial_epochs, self._step_s)
             if new.tried.nis < _FALLING * self._kalman.nis:
                 self.contradiction.mend()  # a load that has grown is known now, and the state follows
             if self._refused:

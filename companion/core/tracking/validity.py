@@ -75,8 +75,18 @@ class ModalActivity:
         self.learned = self.fitted = self.still = False
         self.adapts = adapts
         self._refused = 0  # fits in a row
-        self._drift = BiasDrift(layout)
+        self._layout, self._drift = layout, BiasDrift(layout)
         self.file_check = FileCheck()
+
+    def _possible_sigma_m(self, kalman: SeparatedBiasFilter) -> Floats:
+        """Sigma of the deflection by gusts and by constants that are not known, symmetric and antisymmetric, m.
+
+        Constants that are only considered (a misalignment beside a tip that vibrates) move it by several of the gusts'.
+        """
+        sensitivity = kalman.state_and_sensitivity[self._deflections, 1:].copy()
+        sensitivity[0] -= kalman.state_and_sensitivity[-1, 1:]
+        by_constants = np.einsum("ij,jk,ik->i", sensitivity, kalman.bias_parameter_covariance, sensitivity)
+        return np.asarray(np.sqrt(self._deflection_sigma_m**2 + by_constants))
 
     def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
@@ -88,7 +98,7 @@ class ModalActivity:
             self._deflection_sigma_m = np.sqrt(variance[self._deflections])
         deflection_m = kalman.state[self._deflections] - np.array([kalman.static_m, 0.0])
         self._slow_m = self._slow_m + min(count * step_s / _BLOCK_S, 1.0) * (deflection_m - self._slow_m)
-        self.deflection_sigmas = float(np.abs(self._slow_m / self._deflection_sigma_m).max())
+        self.deflection_sigmas = float(np.abs(self._slow_m / self._possible_sigma_m(kalman)).max())
         squares = rate_squares(
             kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
         )
@@ -119,6 +129,8 @@ class ModalActivity:
     def note_fit(self, *, taken: bool) -> bool:
         """Count a spectral fit that was taken or refused; True for the first that was taken."""
         first = taken and not self.fitted
+        if first:  # a filter starts then, whose biases have nothing to do with those before
+            self._drift = BiasDrift(self._layout)
         self.fitted |= taken
         self._refused = 0 if taken else self._refused + 1
         return first
