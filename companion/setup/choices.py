@@ -1,4 +1,4 @@
-"""Choices of the person: links, airframe, cameras, trigger, USB ports; stored, so that an upgrade asks nothing."""
+"""Choices of the person: links, airframe, cameras, trigger, USB ports; what was said is stored, the rest derived."""
 
 from __future__ import annotations
 
