@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import sys
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from companion.adapters.cameras.oak import library
 from companion.adapters.cameras.oak_calibration import cameras_from_handler, cameras_to_handler, handler_of
 from companion.errors import DeviceError, SpanwiseError
 from companion.params.airframe import Airframe
-from companion.params.files import dump_airframe, load_airframe
+from companion.params.files import dump_airframe, load_airframe, parse_airframe
 
 
 def read(file: Path | None, airframe: Airframe, sockets: tuple[str, str]) -> Airframe:
@@ -40,7 +41,16 @@ def write(file: Path, airframe: Airframe, sockets: tuple[str, str]) -> None:
     pair = airframe.camera_pair
     handler = library().CalibrationHandler()
     cameras_to_handler(handler, sockets, *pair)
-    handler.eepromToJsonFile(str(file.absolute()))
+    # eepromToJsonFile says nothing where it cannot write
+    _put(file, json.dumps(handler.eepromToJson(), indent=4))
+
+
+def _put(file: Path, text: str) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DeviceError(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -54,6 +64,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     left, right = options.sockets
     try:
+        if left == right:
+            raise DeviceError(f"--sockets {left} {right}: name two")
         airframe = load_airframe(options.airframe)
         if options.what == "write":
             if options.file is None:
@@ -62,8 +74,9 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"wrote {options.file}")
         else:
             calibrated = read(options.file, airframe, (left, right))
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            options.out.write_text(dump_airframe(calibrated), encoding="utf-8")
+            text = dump_airframe(calibrated)
+            parse_airframe(text, f"{options.sockets[0]} as left, {options.sockets[1]} as right")
+            _put(options.out, text)
             print(f"wrote {options.out}")
     except SpanwiseError as error:
         print(f"oak_calibration: {error}", file=sys.stderr)

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 import threading
 
+from companion.errors import SpanwiseError
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import build_flight
 from companion.sim.rehearsal.vehicle import RehearsalVehicle
+from companion.sim.vehicle.world import VehicleLink
 
 
 def main() -> int:
-    """Run until Ctrl-C."""
+    """Run until Ctrl-C; 2 where something is wrong, with one sentence."""
     parser = argparse.ArgumentParser(prog="python -m tools.simulated_vehicle", description=__doc__)
     parser.add_argument(
         "--link", action="append", metavar="LINK", help="udpout:host:port or udpin:host:port; may be repeated"
@@ -30,14 +33,27 @@ def main() -> int:
     parser.add_argument("--ranges", action="store_true", help="a stand-in for the service sends DISTANCE_SENSOR")
     parser.add_argument("--obstacle", type=float, nargs=2, metavar=("NORTH", "EAST"), help="a pole, metres from home")
     options = parser.parse_args()
+    try:
+        _fly(options)
+    except SpanwiseError as error:
+        print(f"simulated_vehicle: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _fly(options: argparse.Namespace) -> None:
+    links = options.link or ["udpout:127.0.0.1:14540"]
+    airframe = load_airframe(options.airframe)
+    for link in links:  # before the flight is built, which takes a while
+        VehicleLink(link).close()
     print(f"building {options.seconds:g} s of {options.airframe} ...", flush=True)
-    flight = build_flight(load_airframe(options.airframe), options.seed, options.seconds)
+    flight = build_flight(airframe, options.seed, options.seconds)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     vehicle = RehearsalVehicle(
         flight,
-        options.link or ["udpout:127.0.0.1:14540"],
+        links,
         height_m=options.height,
         speed=options.speed,
         ranges=options.ranges,
@@ -45,7 +61,6 @@ def main() -> int:
     )
     print("the vehicle is alive; Ctrl-C ends it", flush=True)
     vehicle.run(stop.is_set)
-    return 0
 
 
 if __name__ == "__main__":

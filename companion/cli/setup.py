@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from companion.adapters.cameras.camera_factory import parse_cameras
 from companion.adapters.triggers.trigger_factory import trigger_factory
 from companion.cli.steps import setup_wing
 from companion.errors import TO_FIX, SetupError, SpanwiseError
@@ -16,7 +17,7 @@ from companion.params.files import load_airframe
 from companion.setup import manifest
 from companion.setup.boards import BOARDS, CompanionBoard, board_of
 from companion.setup.checks import SystemCheck, airframe_check, checks
-from companion.setup.choices import Choices, choices_for
+from companion.setup.choices import Choices, answered, choices_for
 from companion.setup.install import install, recorded, undo, undone
 from companion.setup.manifest import Manifest
 from companion.setup.next_steps import next_steps
@@ -76,7 +77,7 @@ def execute(options: argparse.Namespace) -> int:
         options.program or previous.choices.get("program") or (_this_program() if _is_here(tree) else _IN_AN_IMAGE)
     )
     is_fit = _show_checks(tree, board, program)
-    choices = _answers(tree, board, previous, options)
+    choices, answers = _answers(tree, board, previous, options)
     is_fit &= _show_results([airframe_check(tree, choices.airframe)])
     changes = planned(tree, board, choices, program, previous)
     _show(changes, contents=options.dry_run)
@@ -85,7 +86,7 @@ def execute(options: argparse.Namespace) -> int:
     else:
         if any(change.changes for change in changes):
             _confirm(options)
-        install(tree, changes, recorded(tree, changes, previous, choices, board))
+        install(tree, changes, recorded(tree, changes, previous, answers, options.board or previous.board))
         _show_next(tree, choices, changes)
     return 0 if is_fit else TO_FIX
 
@@ -127,17 +128,22 @@ def _show_results(results: list[SystemCheck]) -> bool:
     return all(check.passes for check in results)
 
 
-def _answers(tree: Tree, board: CompanionBoard, previous: Manifest, options: argparse.Namespace) -> Choices:
+def _answers(
+    tree: Tree, board: CompanionBoard, previous: Manifest, options: argparse.Namespace
+) -> tuple[Choices, dict[str, Any]]:
+    """The choices, and those of them that somebody made: a suggestion that is taken over is none."""
     overrides: dict[str, Any] = {
         name: "" if value == "-" else value for name, value in vars(options).items() if value is not None
     }
-    choices = _checked(choices_for(board, tree, previous.choices, overrides))
+    answers = answered(previous.choices, overrides)
+    choices = _checked(choices_for(board, tree, answers))
     if options.yes or options.dry_run or not sys.stdin.isatty():
-        return choices
+        return choices, answers
     while True:
         asked = {name: _ask(text, getattr(choices, name)) for name, text in _ASKED.items() if name not in overrides}
+        chosen = {name: answer for name, answer in asked.items() if answer != getattr(choices, name)}
         try:
-            return _checked(choices_for(board, tree, previous.choices, {**overrides, **asked}))
+            return _checked(choices_for(board, tree, {**answers, **chosen})), {**answers, **chosen}
         except SpanwiseError as error:
             print(error, file=sys.stderr)
 
@@ -150,16 +156,16 @@ def _checked(choices: Choices) -> Choices:
     if not Path(choices.airframe).suffix:
         load_airframe(choices.airframe)
     trigger_factory(choices.trigger or "none")
-    if choices.cameras and ":" not in choices.cameras:
-        raise SetupError(f"cameras '{choices.cameras}': name kind and place, as in oak:CAM_B,CAM_C; - for none")
+    if choices.cameras:
+        parse_cameras(choices.cameras, soft=choices.trigger.partition(":")[0] == "oak")
     return choices
 
 
-def _ask(text: str, suggestion: str | tuple[str, ...]) -> str | list[str]:
+def _ask(text: str, suggestion: str | tuple[str, ...]) -> str | tuple[str, ...]:
     shown = suggestion if isinstance(suggestion, str) else " ".join(suggestion)
     said = input(f"{text} [{shown or '-'}]: ").strip() or shown
     if not isinstance(suggestion, str):
-        return said.split()
+        return tuple(said.split())
     return "" if said == "-" else said
 
 

@@ -56,7 +56,7 @@ class LiveConfig:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Take ``HOST:PORT``, ``HOST`` or ``:PORT`` apart; an absent host is loopback.
+    """Take ``HOST:PORT``, ``HOST``, ``:PORT`` or ``PORT`` apart; an absent host is loopback.
 
     Raises
     ------
@@ -64,7 +64,9 @@ def parse_address(text: str) -> tuple[str, int]:
         The port is none.
     """
     host, colon, port = text.rpartition(":")
-    if not colon or (text.count(":") > 1 and not host.endswith("]")):
+    if text.isdecimal():
+        host, port = "", text
+    elif not colon or (text.count(":") > 1 and not host.endswith("]")):
         host, port = text, str(DEFAULT_PORT)
     if not port.isdecimal() or not 0 <= int(port) <= _HIGHEST_PORT:
         raise ConfigError(f"--live {text}: give HOST:PORT, as in {DEFAULT_ADDRESS}")

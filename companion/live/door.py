@@ -1,6 +1,8 @@
 """The one port of the live view: page, downloads and changes by HTTP, and the websocket behind the same rule of access.
 
-Runs in a thread of its own. Every connection has a bounded head and body and a time in which they must come.
+Runs in a thread of its own. Every connection has a bounded head and body and a time in which they must come. Of those
+that are not admitted yet an address has few: a newer one takes the place of its oldest, so that nobody who only knocks
+shuts the owner out.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, HttpAnswer
 
 _HEAD_S = 10.0  # chosen: a browser sends its request at once; who dawdles is turned away
 _MOST_CONNECTIONS = 64  # bound of memory
+_MOST_KNOCKING = 16  # of one address, not admitted yet: more than a browser opens at once (choice)
 _CLOSING_S = 2.0  # chosen: transfers end by then, or are cut off with the service
 _CHUNK_BYTES = 262_144  # chosen: few turns for a large file, little memory for each reader
 _SHUT_OUT = (
@@ -56,7 +59,8 @@ class Door:
         self, listening: socket.socket, access: Access, answer: Callable[[Request], HttpAnswer], behind: int
     ) -> None:
         self._access, self._answer, self._behind = access, answer, behind
-        self._open = 0
+        self._knocking: dict[asyncio.Task[None] | None, str] = {}
+        self._admitted: set[asyncio.Task[None] | None] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._is_up = threading.Event()
@@ -82,17 +86,31 @@ class Door:
         server.close()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._open += 1
+        task, (address, *_) = asyncio.current_task(), writer.get_extra_info("peername") or ("",)
+        self._make_room(address)
+        self._knocking[task] = address
         try:
-            if self._open <= _MOST_CONNECTIONS:
+            if len(self._knocking) + len(self._admitted) <= _MOST_CONNECTIONS:
                 await self._attend(reader, writer)
         except (OSError, ValueError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
             pass  # whoever it was has gone, or never spoke HTTP
         except asyncio.CancelledError:
             pass  # the door closes, which is no error to be told
         finally:
-            self._open -= 1
+            self._knocking.pop(task, None)
+            self._admitted.discard(task)
             writer.close()
+
+    def _make_room(self, address: str) -> None:
+        """Turn the oldest away of too many that are not admitted yet, first of the newcomer's own address."""
+        neighbours = [task for task, place in self._knocking.items() if place == address]
+        is_full = len(self._knocking) + len(self._admitted) >= _MOST_CONNECTIONS
+        if len(neighbours) < _MOST_KNOCKING:
+            neighbours = list(self._knocking) if is_full else []
+        for task in neighbours[:1]:
+            del self._knocking[task]
+            if task is not None:
+                task.cancel()
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         request = await asyncio.wait_for(_read(reader), _HEAD_S)
@@ -101,6 +119,8 @@ class Door:
         if not self._access.admits(request):
             public = public_answer(request, self._access.token_place, is_loopback=self._access.is_loopback)
             return await _send(writer, public or refusal(HTTPStatus.FORBIDDEN, _SHUT_OUT))
+        self._knocking.pop(task := asyncio.current_task(), None)
+        self._admitted.add(task)
         if request.is_websocket:
             name = tunnel.subprotocol(request)
             if name is not None:

@@ -148,7 +148,7 @@ class LiveSession:
         """Answer one request of the page."""
         if request.method == "GET":
             return self._read(request.path)
-        if request.method == "POST" and request.headers.get("content-type") == "application/json":
+        if request.method == "POST" and _media_type(request) == "application/json":
             return self._change(request)
         return refusal(HTTPStatus.METHOD_NOT_ALLOWED, "only GET, and POST of JSON")
 
@@ -197,11 +197,13 @@ class LiveSession:
         try:
             wish = json.loads(request.body)
             if request.path == "/record":
-                self._switches.put_nowait(bool(wish["on"]))
+                if not isinstance(wish["on"], bool):
+                    raise TypeError
+                self._switches.put_nowait(wish["on"])
                 return as_json({"asked": True}, HTTPStatus.ACCEPTED)
             if request.path == "/parameters":
                 return self._ask(str(wish["name"]), float(wish["value"]))
-        except (ValueError, TypeError, LookupError, OverflowError):
+        except (ValueError, TypeError, LookupError, OverflowError, RecursionError):
             return refusal(HTTPStatus.BAD_REQUEST, "give JSON: name and value, or on")
         except queue.Full:
             return refusal(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once")
@@ -218,6 +220,11 @@ class LiveSession:
             return refusal(HTTPStatus.BAD_REQUEST, clash.text)
         self._subject.ask(name, value)
         return as_json({"asked": True}, HTTPStatus.ACCEPTED)
+
+
+def _media_type(request: Request) -> str:
+    """Kind of the body, without its parameters such as ``charset``."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
 def _page_file(name: str) -> HttpAnswer:

@@ -17,14 +17,17 @@ _LARGEST_MESSAGE = 1 << 20  # chosen: bytes: room for the longest record, below 
 
 @dataclass(slots=True)
 class Sender:
-    """The writing end; a message that does not fit is dropped."""
+    """The writing end; a message that finds no room is dropped, and one that is too large."""
 
     end: socket.socket
 
     def send(self, record: Any) -> bool:
-        """Queue one record; False when the reader is too slow and the record was dropped."""
+        """Queue one record; False when it was dropped: the reader is too slow, or the record larger than 1 MiB."""
+        message = pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL)
+        if len(message) > _LARGEST_MESSAGE:
+            return False
         try:
-            self.end.send(pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
+            self.end.send(message)
         except OSError:
             return False
         return True
@@ -45,12 +48,13 @@ class Receiver:
         records: list[Any] = []
         while len(records) < limit:
             try:
-                message = self.end.recv(_LARGEST_MESSAGE)
+                message, _, flags, _ = self.end.recvmsg(_LARGEST_MESSAGE)
             except OSError:
                 break
             if not message:
                 break
-            records.append(pickle.loads(message))
+            if not flags & socket.MSG_TRUNC:  # else its end is lost
+                records.append(pickle.loads(message))
         return records
 
 

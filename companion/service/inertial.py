@@ -29,13 +29,14 @@ from companion.records import (
     TriggerLatency,
     TriggerPlan,
 )
-from companion.service.pace import Overload, TickPace
+from companion.service.pace import WINDOW_NS, Overload, TickPace
 from companion.service.parameter_request import ParameterRequest
 from companion.units import Severity
 
 TICK_NS = 10_000_000  # chosen: a hundred turns a second, four for each plan
 _POLL_S = 0.002  # chosen: samples wait no longer than this, and the turn is never late by more
 _SECOND_NS = 1_000_000_000  # by definition
+_OVERLOADED_NS = 5 * WINDOW_NS  # chosen: an overload that is repeated no more was that of a process that is no more
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
 _UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
 
@@ -79,7 +80,7 @@ class InertialLoop:
     next_tick_ns: int = 0
     errors: RateLimiter = field(default_factory=lambda: RateLimiter(_SECOND_NS))
     pace: TickPace = field(default_factory=TickPace)
-    overloads: dict[str, str] = field(default_factory=dict)
+    overloads: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def run_once(self) -> None:
         """Handle what has arrived, then the tick if it is due."""
@@ -108,11 +109,19 @@ class InertialLoop:
 
     def _overloaded(self, overload: Overload) -> None:
         """Say who cannot keep up, or does again, and let the state's reason say it as long as that lasts."""
-        self.overloads.pop(overload.who, None)
+        is_known = self.overloads.pop(overload.who, None) is not None
         if overload.text:
-            self.overloads[overload.who] = overload.text
+            self.overloads[overload.who] = overload.text, self.clock.now_ns()
+            if is_known:
+                return
         severity = Severity.WARNING if overload.text else Severity.INFO
         self._route(Notice(severity, overload.sentence, self.clock.now_ns()))
+
+    def _overload_texts(self) -> list[str]:
+        """Overloads that were repeated lately; the others are forgotten."""
+        oldest_ns = self.clock.now_ns() - _OVERLOADED_NS
+        self.overloads = {who: said for who, said in self.overloads.items() if said[1] >= oldest_ns}
+        return [text for text, _ in self.overloads.values()]
 
     def _handle(self, record: Record) -> None:
         if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
@@ -130,8 +139,8 @@ class InertialLoop:
     def _route(self, output: Record) -> None:
         self.recorder.write(output)
         # the machine's, not the estimation's: a replay has none
-        if isinstance(output, ServiceStatus) and self.overloads:
-            reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.overloads.values())])
+        if isinstance(output, ServiceStatus) and (texts := self._overload_texts()):
+            reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in texts)])
             output = dataclasses.replace(output, reason=reason)
         if isinstance(output, ServiceStatus):
             self.status = f"{output.health.name.lower()}: {output.reason}"

@@ -1,7 +1,8 @@
 """Whether this machine keeps up: how far apart the inertial loop's ticks come, and how much of its time vision needs.
 
 Both are judged over windows of two seconds, longer than any pause for collection or a neighbour's burst. What was said
-to be behind has to be well clear of the limit before it is said to keep up again, so that nothing flickers.
+to be behind has to be well clear of the limit before it is said to keep up again, so that nothing flickers. Until then
+each window repeats it: a process that has just taken over hears of it, and what is repeated no more is over.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Overload:
 
 @dataclass(slots=True)
 class _Verdict:
-    """Hysteresis: behind after two windows that were, clear after one that is."""
+    """Hysteresis: behind after two windows that were, clear after one that is; repeated as long as it is behind."""
 
     who: str
     behind: bool = False
@@ -45,11 +46,10 @@ class _Verdict:
         self.bad = self.bad + 1 if is_late else 0
         if not self.behind and self.bad >= _WINDOWS:
             self.behind = True
-            return Overload(self.who, text)
-        if self.behind and is_clear:
+        elif self.behind and is_clear:
             self.behind = False
             return Overload(self.who, "")
-        return None
+        return Overload(self.who, text) if self.behind else None
 
 
 class TickPace:
@@ -61,7 +61,7 @@ class TickPace:
         self._ticks = 0
 
     def ticked(self, now_host_ns: int) -> Overload | None:
-        """Take a tick; an overload where that begins or ends."""
+        """Take a tick; an overload with each window of one, and where it ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
             return None
@@ -96,7 +96,7 @@ class VisionPace:
         self._waited_ns = max(self._waited_ns, waited_ns)
 
     def looked(self, now_host_ns: int) -> Overload | None:
-        """Judge, when a window is over; an overload where that begins or ends."""
+        """Judge, when a window is over; an overload with each window of one, and where it ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
         passed_ns = now_host_ns - self._since_ns

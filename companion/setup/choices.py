@@ -1,4 +1,4 @@
-"""Choices of the person: links, airframe, cameras, trigger, USB ports; stored, so that an upgrade asks nothing."""
+"""Choices of the person: links, airframe, cameras, trigger, USB ports; what was said is stored, the rest derived."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.errors import LinkError, SetupError
-from companion.params.links import LinkKind, parse_link
+from companion.params.links import LinkAddress, LinkKind, parse_link
 from companion.setup.boards import CompanionBoard
 from companion.setup.tree import Tree
 
@@ -48,8 +48,14 @@ class Choices:
         return (_ROUTED, *self.links[1:]) if self.router else self.links
 
 
-def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], overrides: dict[str, Any]) -> Choices:
-    """The choices of now, else those of the last set-up, else the board's defaults.
+def answered(previous: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    """Choices that somebody made: those of now, else those of the last set-up. Nothing that a board suggests."""
+    names = {field.name for field in dataclasses.fields(Choices)}
+    return {name: value for name, value in {**previous, **overrides}.items() if name in names and value is not None}
+
+
+def choices_for(board: CompanionBoard, tree: Tree, answers: dict[str, Any]) -> Choices:
+    """The choices that somebody made (:func:`answered`), and the board's defaults for the others.
 
     Raises
     ------
@@ -61,13 +67,8 @@ def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], ove
     fitting = Choices(
         (f"{board.uart},{_NODE_BAUD}", *nodes), router=any(tree.entry(name) is not None for name in _ROUTERS)
     )
-    field_names = {field.name for field in dataclasses.fields(Choices)}
-    said = {
-        name: value for name, value in {**previous, **overrides}.items() if name in field_names and value is not None
-    }
-    if "links" in said:
-        said["links"] = tuple(said["links"])
-    choices = dataclasses.replace(fitting, **said)
+    choices = dataclasses.replace(fitting, **answers)
+    choices = dataclasses.replace(choices, links=tuple(choices.links))  # the manifest and the options have lists
     _check(choices)
     if board.boot_lines and choices.takes(_ALIAS):
         raise SetupError(f"links: {_ALIAS} is not always the UART of pins 8 and 10; give {board.uart}")
@@ -91,8 +92,20 @@ def _check(choices: Choices) -> None:
             f"airframe '{choices.airframe}': the service starts in /; give the whole path, as /etc/spanwise/wing.toml"
         )
     try:
-        kinds = [parse_link(link).kind for link in choices.links]
+        addresses = [parse_link(link) for link in choices.links]
+        heard = [parse_link(link) for link in choices.listening]
     except LinkError as error:
         raise SetupError(str(error)) from error
-    if choices.router and kinds[0] is not LinkKind.SERIAL:
-        raise SetupError(f"links: mavlink-router needs the autopilot's serial device first, not {choices.links[0]}")
+    if choices.router and addresses[0].kind is not LinkKind.SERIAL:
+        raise SetupError(
+            f"links: mavlink-router needs the autopilot's serial device first, not {choices.links[0]}; or --no-router"
+        )
+    for ends in (addresses, heard):
+        _refuse_twice(ends)
+
+
+def _refuse_twice(addresses: list[LinkAddress]) -> None:
+    places = [address.host if address.kind is LinkKind.SERIAL else str(address) for address in addresses]
+    for number, place in enumerate(places):
+        if place in places[:number]:
+            raise SetupError(f"links: {place} is there twice; each link needs a place of its own")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+from typing import Any
 
 from companion.errors import SetupError
 from companion.setup import manifest
-from companion.setup.boards import CompanionBoard
-from companion.setup.choices import Choices
 from companion.setup.manifest import Manifest
 from companion.setup.plan import UNIT, Change, put_back
 from companion.setup.tree import Entry, Symlink, Tree
@@ -20,15 +18,16 @@ _LEFT_BEHIND = (
 )  # fmt: skip
 
 
-def recorded(
-    tree: Tree, changes: list[Change], previous: Manifest, choices: Choices, board: CompanionBoard
-) -> Manifest:
-    """The manifest as it is after these changes."""
+def recorded(tree: Tree, changes: list[Change], previous: Manifest, answers: dict[str, Any], board: str) -> Manifest:
+    """The manifest as it is after these changes.
+
+    ``answers`` and the key of the ``board`` are what somebody said; all else is derived anew each time.
+    """
     done = {change.name: change.done for change in changes if change.done is not None}
     written = [change.name for change in changes if change.changes and change.then is not None]
     made = [folder for name in [*written, manifest.NAME] for folder in tree.missing_folders(name)]
     folders = tuple(dict.fromkeys((*previous.folders, *made)))
-    return Manifest(done, folders, dataclasses.asdict(choices), board.key)
+    return Manifest(done, folders, answers, board)
 
 
 def install(tree: Tree, changes: list[Change], after: Manifest) -> None:

@@ -25,7 +25,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """``done`` by name, ``folders`` that were made (outermost first), and the answers of the last time."""
+    """``done`` by name, ``folders`` that were made (outermost first), and what somebody answered."""
 
     done: dict[str, Done] = field(default_factory=dict)
     folders: tuple[str, ...] = ()

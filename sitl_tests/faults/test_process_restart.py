@@ -238,6 +238,17 @@ def test_the_inertial_process_starts_without_a_link_that_is_down(port: int, monk
     assert len(turns) == 2
 
 
+def test_a_record_that_is_too_large_for_a_channel_is_dropped_alone() -> None:
+    (sender, receiver) = channel()
+    assert sender.send(bytes(1_000_000))
+    assert not sender.send(bytes(1_100_000)), "its caller hears of it"
+    assert sender.send("the next")
+    assert [len(record) for record in receiver.receive()] == [1_000_000, len("the next")]
+    sender.end.send(bytes(1_100_000))  # a sender of another making
+    sender.send("the one after")
+    assert receiver.receive() == ["the one after"]
+
+
 class Flashes:
     """Two cameras that see one texture at three instants; then vision is told to end, as if it had died."""
 

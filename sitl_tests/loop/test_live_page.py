@@ -211,6 +211,12 @@ def test_a_parameter_is_set_and_a_recording_made_from_the_page(flight: Flight) -
         browser.until("document.getElementById('toast').textContent.includes('RNG_MAX')")
         browser.until(f"{field}.querySelector('input').value === '90'")
         assert flight.asked == [("RNG_MAX", 90.0)], "what is out of range is not asked for"
+        emptied = set_to.replace("'90'", "''").replace("RNG_MAX", "TRK_CALM")
+        browser.value(emptied)
+        browser.until(f"{field.replace('RNG_MAX', 'TRK_CALM')}.querySelector('input').value !== ''")
+        browser.value(set_to.replace("'90'", "'91'"))
+        browser.until("document.getElementById('toast').textContent.includes('91')")
+        assert flight.asked == [("RNG_MAX", 90.0), ("RNG_MAX", 91.0)], "an emptied field is no 0"
         browser.until("!document.getElementById('record').hidden")
         browser.value("document.getElementById('record').click()")
         browser.until("document.getElementById('record').textContent === 'Stop recording'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import socket
 import struct
@@ -201,6 +202,46 @@ def test_a_change_reaches_those_who_follow_and_those_who_come_later(view: View) 
     assert isinstance(answer, dict)
     assert answer["parameters"][0]["value"] == 90.0, "the websocket changes nothing"
     assert view.asked == []
+    client.close()
+
+
+@pytest.mark.parametrize("said", ["[" * 4000, '{"on": "false"}', '{"on": 1}'])
+def test_a_wish_that_is_none_is_refused(view: View, said: str) -> None:
+    assert _posted(view.port, said)[0] == 400
+    view.session.tend()
+    assert json.loads(ask(view.port, "GET", "/recordings.json")[2])["on"] is False
+
+
+def test_json_may_name_its_characters(view: View) -> None:
+    assert _posted(view.port, '{"on": false}', "application/json; charset=utf-8")[0] == 202
+    assert _posted(view.port, '{"on": false}', "text/plain")[0] == 405
+
+
+def _posted(port: int, body: str, kind: str = "application/json") -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection.request("POST", "/record", body, {"Content-Type": kind})
+    answer = connection.getresponse()
+    read = answer.read()
+    connection.close()
+    return answer.status, read
+
+
+def test_who_only_knocks_does_not_shut_the_owner_out(view: View) -> None:
+    """Heads that never end, from the owner's own address and from another."""
+    ends = []
+    for number in range(90):
+        end = socket.create_connection(
+            ("127.0.0.1", view.port), timeout=20, source_address=(f"127.0.0.{2 + number % 8}", 0)
+        )
+        end.sendall(b"GET / HT")
+        ends.append(end)
+    for _ in range(20):
+        ends.append(socket.create_connection(("127.0.0.1", view.port), timeout=20))
+    assert ask(view.port, "GET", "/about.json")[0] == 200
+    client = LiveClient(view.port)
+    for end in ends:
+        end.close()
+    assert ask(view.port, "GET", "/about.json")[0] == 200
     client.close()
 
 

@@ -14,8 +14,10 @@ from companion.doctor.evidence import Fix
 from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, ClockName, ClockState, CorrectedRange, Deflection, Health, Shot
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.px4 import interval_means
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, MS, SimulatedService
+from sitl_tests.loop.test_sim_autopilot import Peer
 from sitl_tests.loop.test_vehicle_doctor import Ward, wrong
 
 FLOWN_S = 16.0
@@ -42,6 +44,24 @@ def test_means_are_of_the_interval_that_ends_at_the_stamp() -> None:
         means = interval_means(line, round(1e9 / rate_hz))
         ends_ms = np.arange(len(means)) * 1000.0 / rate_hz
         np.testing.assert_allclose(means[1:, 0], ends_ms[1:] - 500.0 / rate_hz, atol=1e-9)
+
+
+def test_a_boot_between_two_windows_sends_none_that_ended_before_it(flight: Flight) -> None:
+    peer = Peer(flight, px4=True, faults=Faults(reboots=((1, 0.5, 0.5013),)))
+    peer.request(105, 5000)
+    peer.run(1.2)
+    stamps_us = [m.time_usec for at_ns, m in peer.of("HIGHRES_IMU", 1) if at_ns > 1_001 * MS]
+    assert 0 <= stamps_us[0] < 50_000
+    assert stamps_us == sorted(stamps_us)
+
+
+def test_an_interval_below_zero_ends_a_stream_and_zero_is_its_own_rate(flight: Flight) -> None:
+    peer = Peer(flight, px4=True)
+    assert peer.request(105, -1)[0] == mavlink.MAV_RESULT_ACCEPTED
+    assert not [m for m in peer.run(0.5) if m.get_type() == "HIGHRES_IMU" and m.get_srcComponent() == 1]
+    assert peer.request(105, 0)[0] == mavlink.MAV_RESULT_ACCEPTED
+    frames = [m for m in peer.run(1.0) if m.get_type() == "HIGHRES_IMU" and m.get_srcComponent() == 1]
+    assert len(frames) == pytest.approx(50, abs=2)
 
 
 @pytest.mark.slow

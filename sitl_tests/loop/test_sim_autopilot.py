@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import multiprocessing
 import socket
@@ -22,7 +23,9 @@ from companion.records import ClockName, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.worlds import IDEAL
 from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.mission_protocol import from_wire, to_wire
 from companion.sim.vehicle.world import VehicleLink, World, WorldOptions, serve, serve_new
+from tools import simulated_vehicle
 
 COMPANION = 191
 MS = 1_000_000
@@ -376,6 +379,82 @@ def test_a_stream_stops_and_a_nan_is_sent_where_asked(flight: Flight) -> None:
     assert len(broken) == pytest.approx(500, abs=3)
 
 
+# ------------------------------------------------------------------------------------------ orders
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("command", "params"),
+    [
+        (mavlink.MAV_CMD_DO_SET_MODE, (1, NAN)),
+        (mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, (float("inf"),)),
+        (mavlink.MAV_CMD_REQUEST_MESSAGE, (NAN,)),
+        (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (105, NAN)),
+        (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (float("inf"), 1e4)),
+    ],
+)
+def test_a_parameter_that_is_no_number_is_denied(flight: Flight, command: int, params: tuple[float, ...]) -> None:
+    peer = Peer(flight, pilot_height_m=60.0)
+    peer.command(command, *params)
+    (answer,) = [m for m in peer.run(0.05) if m.get_type() == "COMMAND_ACK"]
+    assert (answer.command, answer.result) == (command, mavlink.MAV_RESULT_DENIED)
+
+
+def test_no_order_puts_the_pilot_where_no_number_is(flight: Flight) -> None:
+    peer = Peer(flight, pilot_height_m=60.0)
+    place = to_wire(100.0, 0.0)
+    peer.send(mavlink.MAVLink_command_int_message(1, 1, 3, 192, 0, 0, 0, 1, 0, 0, *place, NAN))
+    peer.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, [NAN] * 4, 0, 0, 0, 0.5))
+    peer.send(mavlink.MAVLink_mission_count_message(1, 1, 2))
+    for number, height_m in enumerate((0.0, NAN)):
+        peer.send(mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, *place, height_m))
+    peer.run(1.0)
+    assert [m.type for _, m in peer.of("MISSION_ACK")] == [mavlink.MAV_MISSION_UNSUPPORTED]
+    assert peer.of("GLOBAL_POSITION_INT")[-1][1].relative_alt == pytest.approx(60_000, abs=2_000)
+
+
+def test_a_mission_whose_home_is_nowhere_is_read_back_with_home(flight: Flight) -> None:
+    peer = Peer(flight, pilot_height_m=60.0)
+    peer.send(mavlink.MAVLink_mission_count_message(1, 1, 1))
+    peer.send(mavlink.MAVLink_mission_item_int_message(1, 1, 0, 0, 16, 0, 1, 0, 0, 0, 0, 0, 0, 0.0))
+    peer.send(mavlink.MAVLink_mission_request_int_message(1, 1, 0))
+    peer.run(0.1)
+    ((_, item),) = peer.of("MISSION_ITEM_INT")
+    assert (item.x, item.y) == to_wire(0.0, 0.0)
+    assert (item.param1, item.autocontinue) == (0.0, 1)
+
+
+def test_the_place_that_is_told_is_where_the_flight_is(flight: Flight) -> None:
+    """As :func:`from_wire` and every ground station read it: a degree of longitude is shorter than one of latitude."""
+    peer = Peer(flight)
+    peer.run(11.0)
+    for kind, stamp_ns in (("GLOBAL_POSITION_INT", "time_boot_ms"), ("GPS_RAW_INT", "time_usec")):
+        _, message = peer.of(kind)[-1]
+        at_ns = getattr(message, stamp_ns) * (1000 if stamp_ns == "time_usec" else MS)
+        true_m = flight.truth.series(np.array([at_ns], dtype=np.int64)).position_ned_m[0, :2]
+        assert from_wire(message.lat, message.lon) == pytest.approx(true_m.tolist(), abs=0.1)
+        assert np.abs(true_m).min() > 1.0, "else it says nothing"
+
+
+def test_a_pilot_in_wind_tells_the_velocity_that_it_moves_with(flight: Flight) -> None:
+    peer = Peer(flight, pilot_height_m=60.0)
+    protocol = peer.world.autopilot.protocol
+    assert protocol is not None
+    protocol.pilot.wind_east_mps = 8.0
+    peer.run(3.0)
+    (_, first), (_, last) = peer.of("GLOBAL_POSITION_INT")[-2:]
+    moved_m = np.subtract(from_wire(last.lat, last.lon), from_wire(first.lat, first.lon))
+    moved_mps = moved_m / (last.time_boot_ms - first.time_boot_ms) * 1e3
+    stated_mps = 0.005 * (first.vx + last.vx), 0.005 * (first.vy + last.vy)
+    assert stated_mps == pytest.approx(moved_mps.tolist(), abs=1.5)  # of some 250 ms, in steps of 20
+    assert peer.of("VFR_HUD")[-1][1].groundspeed == pytest.approx(0.01 * math.hypot(last.vx, last.vy), abs=1.5)
+    receiver = peer.of("GPS_RAW_INT")[-1][1]
+    assert 0.01 * receiver.vel == pytest.approx(0.01 * math.hypot(last.vx, last.vy), abs=3.0)
+    assert 0.01 * receiver.cog == pytest.approx(math.degrees(math.atan2(last.vy, last.vx)) % 360.0, abs=15.0)
+
+
 # ------------------------------------------------------------------------------------------ real time
 
 
@@ -384,6 +463,35 @@ def test_a_connection_that_cannot_be_served_is_named(connection: str) -> None:
     with pytest.raises(LinkError, match=connection) as refused:
         VehicleLink(connection)
     assert "udpin:" in str(refused.value), "it shows how one is written"
+
+
+@pytest.mark.parametrize("connection", ["udpout:no-such-host.invalid:14550", "udpout:a..b:14550"])
+def test_a_host_that_nobody_knows_is_named_before_anything_is_built(
+    connection: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(LinkError, match=f"cannot open {connection}"):
+        VehicleLink(connection)
+    for words in (["--link", connection], ["--link", "foo"], ["--airframe", "nope"]):
+        monkeypatch.setattr("sys.argv", ["simulated_vehicle", *words])
+        assert simulated_vehicle.main() == 2
+        said = capsys.readouterr()
+        assert words[1] in said.err
+        assert said.err.count("\n") == 1
+        assert said.out == ""
+
+
+def test_a_network_that_is_gone_does_not_end_the_flight() -> None:
+    class Unreachable:
+        def sendto(self, *_: object) -> None:
+            raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+        def close(self) -> None: ...
+
+    link = VehicleLink("udpout:127.0.0.1:9")
+    link._socket.close()
+    link._socket = Unreachable()  # type: ignore[assignment]
+    link.send([b"a frame"])
+    link.close()
 
 
 @pytest.mark.realtime

@@ -7,6 +7,7 @@ import os
 import pty
 import shutil
 import sys
+import termios
 import threading
 import time
 import tty
@@ -158,6 +159,28 @@ def test_a_port_that_babbles_without_an_end_of_line_is_no_board(monkeypatch: pyt
     talk.join()
     os.close(slave)
     os.close(master)
+
+
+def test_a_port_that_vanishes_while_it_is_opened_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error of pyserial is no OSError then."""
+
+    def vanishing(*_: object, **__: object) -> None:
+        raise termios.error(5, "Input/output error")
+
+    monkeypatch.setattr(serial_board.serial, "Serial", vanishing)
+    with pytest.raises(DeviceError, match="cannot open trigger board on /dev/x"):
+        SerialBoardTrigger("/dev/x")
+
+
+@needs_compiler
+@pytest.mark.parametrize("answer", [["1"], ["1", "2", "3"]])
+def test_a_time_of_another_form_is_a_lost_answer(bench: Board, answer: list[str]) -> None:
+    trigger = SerialBoardTrigger(bench.port)
+    before = trigger.clock.offset(0)
+    trigger._await = lambda _kind, _number: answer  # type: ignore[method-assign]
+    trigger.exchange()
+    assert trigger.clock.offset(0) == before
+    trigger.close()
 
 
 def test_the_board_clock_believes_short_ways_and_forgets_old_ones() -> None:

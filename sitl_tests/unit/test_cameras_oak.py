@@ -349,6 +349,11 @@ def test_what_is_not_calibrated_is_named(tmp_path: Path) -> None:
     handler.setDistortionCoefficients(dai.CameraBoardSocket.CAM_B, [0.1] * 8 + [0.0] * 6)
     with pytest.raises(DeviceError, match="rational"):
         cameras_from_handler(handler, SOCKETS, left, right)
+    for socket in (dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C):
+        handler.setCameraType(socket, dai.CameraModel.Fisheye)
+        handler.setDistortionCoefficients(socket, [0.1, -0.02, 0.003, -0.001, *[0.0] * 10])
+    with pytest.raises(DeviceError, match="CAM_B has a lens model of another kind"):
+        cameras_from_handler(handler, SOCKETS, left, right)
 
 
 def test_the_tool_reads_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -362,3 +367,27 @@ def test_the_tool_reads_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
     assert again.right_camera.rotation_rad == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert tool(["read", str(tmp_path / "no.json"), "--airframe", "nadir-2m"]) == 2
     assert "no.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["write", "{}", "--airframe", "nadir-2m"], "cannot be written"),
+        (["read", "{}/device.json", "--airframe", "nadir-2m", "--out", "{}"], "cannot be written"),
+        (["read", "{}/device.json", "--airframe", "nadir-2m", "--out", "{}/device.json/a.toml"], "cannot be written"),
+        (["read", "{}/device.json", "--airframe", "nadir-2m", "--sockets", "CAM_B", "CAM_B"], "name two"),
+        (["read", "{}/device.json", "--airframe", "nadir-2m", "--sockets", "CAM_C", "CAM_B"], "CAM_C as left"),
+    ],
+)
+def test_the_tool_says_wrote_of_what_can_be_loaded_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
+) -> None:
+    assert tool(["write", str(tmp_path / "device.json"), "--airframe", "nadir-2m"]) == 0
+    before = sorted(tmp_path.iterdir())
+    capsys.readouterr()
+    words = [word.format(tmp_path) for word in words]
+    assert tool(words if "--out" in words else [*words, "--out", str(tmp_path / "wing.toml")]) == 2
+    said = capsys.readouterr()
+    assert sentence in said.err
+    assert "wrote" not in said.out
+    assert sorted(tmp_path.iterdir()) == before

@@ -42,6 +42,15 @@ def test_data_csv_overrules_the_names(tmp_path: Path) -> None:
     assert [f.mid_exposure_ns for f in FolderPair(tmp_path).frames()] == [1403715273262142976] * 2
 
 
+def test_what_other_systems_add_to_tables_and_folders_is_passed_over(tmp_path: Path) -> None:
+    """The mark that Windows puts before UTF-8, and the files that macOS lays beside its own."""
+    for camera in ("cam0", "cam1"):
+        _write(tmp_path, camera, [7])
+        (tmp_path / camera / "data.csv").write_bytes(b"\xef\xbb\xbf1403715273262142976,7.png\n")
+        (tmp_path / camera / "data" / "._7.png").write_bytes(b"x")
+    assert [f.mid_exposure_ns for f in FolderPair(tmp_path).frames()] == [1403715273262142976] * 2
+
+
 def test_a_folder_that_is_not_of_this_kind_is_named(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="cam0"):
         FolderPair(tmp_path)
@@ -181,3 +190,42 @@ def test_a_frame_that_one_camera_misses_makes_no_later_pair_older(
             ages_s += [now_s[0] - 1e-9 * pair.left.mid_exposure_ns for pair in pairs]
     assert len(ages_s) >= 12 - len(misses)
     assert max(ages_s) < 0.01
+
+
+def test_an_exposure_in_the_wait_for_the_other_camera_makes_a_pair_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The left camera's wait has ended when the line rises; its frame comes with the next call."""
+    names = [tmp_path / side.name for side in Side]
+    grabs: dict[str, list[float | None]] = {str(names[0]): [None, 1500.0, 4000.0], str(names[1]): [1500.0, 4000.0, 0.0]}
+
+    class Driver:
+        def __init__(self, source: str) -> None:
+            self.stamps = grabs[source]
+            self.stamp_ms: float | None = None
+
+        def isOpened(self) -> bool:
+            return True
+
+        def grab(self) -> bool:
+            self.stamp_ms = self.stamps.pop(0)
+            return self.stamp_ms is not None
+
+        def get(self, _: int) -> float | None:
+            return self.stamp_ms
+
+        def retrieve(self) -> tuple[bool, np.ndarray]:
+            return True, np.zeros((4, 4), np.uint8)
+
+    monkeypatch.setattr("companion.adapters.cameras.video.cv2.VideoCapture", Driver)
+    for name in names:
+        name.mkdir()
+    cameras, pairer = CapturePair(*map(str, names), triggered=True), FramePairer()
+    frames = [frame for _ in range(2) for frame in cameras.poll(0.1)]
+    pairs = [pair for frame in frames for pair in pairer.add(frame)[0]]
+    assert [(pair.left.mid_exposure_ns, pair.right.mid_exposure_ns) for pair in pairs] == [
+        (1_500_000_000, 1_500_000_000),
+        (4_000_000_000, 4_000_000_000),
+    ]
+    for side in Side:
+        assert [frame.sequence for frame in frames if frame.side is side] == [0, 1]

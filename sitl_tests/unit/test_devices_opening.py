@@ -241,6 +241,10 @@ def test_triggers_by_name() -> None:
         "mavlink:x",
         "oak:",
         "oak:pin",
+        "oak:\N{SUPERSCRIPT TWO}",
+        "gpio:chip,\N{SUPERSCRIPT TWO}",
+        "mavlink:relay,\N{SUPERSCRIPT TWO}",
+        "serial:/dev/x," + "9" * 5000,
     ):
         with pytest.raises(ConfigError, match="known are none"):
             triggers.trigger_factory(spelling)
@@ -255,6 +259,9 @@ def test_a_port_that_is_not_there_and_a_library_that_is_missing(monkeypatch: pyt
     assert line is not None
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(DeviceError, match=r"spanwise\[gpio\]"):
+        line()
+    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=object, __version__="1.5.4"))
+    with pytest.raises(DeviceError, match=r"need gpiod 2, this is 1\.5\.4"):
         line()
 
 

@@ -66,6 +66,7 @@ def test_beyond_loopback_nobody_is_let_in_without_the_token() -> None:
     [
         ("127.0.0.1:9000", ("127.0.0.1", 9000)),
         (":9000", ("127.0.0.1", 9000)),
+        ("9000", ("127.0.0.1", 9000)),
         ("0.0.0.0", ("0.0.0.0", 8765)),
         ("[::1]:9000", ("::1", 9000)),
         ("::1", ("::1", 8765)),
@@ -75,7 +76,7 @@ def test_an_address_is_a_host_and_a_port(text: str, address: tuple[str, int]) ->
     assert parse_address(text) == address
 
 
-@pytest.mark.parametrize("text", ["127.0.0.1:http", "127.0.0.1:70000", "flight.mcap", "out/flight.mcap"])
+@pytest.mark.parametrize("text", ["127.0.0.1:http", "70000", "127.0.0.1:70000", "flight.mcap", "out/flight.mcap"])
 def test_what_is_no_address_is_refused_in_a_sentence(text: str) -> None:
     with pytest.raises(ConfigError, match="HOST:PORT"):
         parse_address(text)

@@ -20,7 +20,7 @@ from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.lifetime import SharedCount
-from companion.numbered_files import free_path
+from companion.numbered_files import free_path, remove_oldest
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Notice, RawChunk, Side, Tick
@@ -119,6 +119,21 @@ def test_an_existing_file_is_never_written_over(tmp_path: Path) -> None:
     assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap"
     (tmp_path / "a.mcap").unlink()
     assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap", "the newest has the highest number"
+    for name in ("a.99999.mcap", "c.mcap", "c.999999999.mcap"):
+        (tmp_path / name).write_bytes(b"old")
+    for name in ("a.mcap", "c.mcap") * 3:
+        path = free_path(tmp_path / name)
+        assert not path.exists()
+        path.write_bytes(b"new")
+    (tmp_path / "b.mcap").mkdir()
+    assert free_path(tmp_path / "b.mcap") == tmp_path / "b.2.mcap"
+
+
+def test_a_file_with_a_date_in_its_name_is_somebodys_own(tmp_path: Path) -> None:
+    for name in ("flight.20261130.mcap", "flight.mcap", "flight.2.mcap"):
+        (tmp_path / name).write_bytes(b"old")
+    remove_oldest(tmp_path / "flight.mcap", 0)
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.20261130.mcap"]
 
 
 def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Path) -> None:

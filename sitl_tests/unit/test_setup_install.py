@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import json
 import os
 import re
 import shlex
@@ -214,6 +215,17 @@ def test_undo_takes_the_edit_alone_out_of_a_boot_file_that_was_changed_since(pi5
     assert words.read_text() == CMDLINE.replace("rootwait", "rootwait quiet")
 
 
+def test_undo_finds_its_lines_in_a_boot_file_that_an_editor_saved_with_other_line_ends(pi5: Path) -> None:
+    setup(pi5)
+    config = pi5 / "boot/firmware/config.txt"
+    config.write_bytes(config.read_bytes().replace(b"\n", b"\r\n"))
+    setup(pi5)
+    assert config.read_bytes().count(b"enable_uart=1") == 1
+    config.write_bytes(config.read_bytes().replace(b"\r\n", b"\n").replace(b"\n", b"\r\n"))
+    setup(pi5, "--undo")
+    assert config.read_bytes() == CONFIG.replace("\n", "\r\n").encode()
+
+
 def test_the_router_keeps_the_nodes_off_autopilot_and_radio(pi5: Path) -> None:
     write(pi5, "usr/bin/mavlink-routerd", "", 0o755)
     setup(pi5)
@@ -337,7 +349,12 @@ def test_an_airframe_that_the_service_has_no_sight_of_is_to_be_mended(
         (["--airframe", "my-wing.toml"], "give the whole path, as /etc/spanwise/wing.toml"),
         (["--link", "/dev/serial0,921600"], "is not always the UART of pins 8 and 10; give /dev/ttyAMA0"),
         (["--airframe", 'a";reboot;"'], "letters, digits"),
-        (["--cameras", "oak"], "cameras 'oak': name kind and place"),
+        (["--cameras", "oak"], "--cameras oak: not a camera pair"),
+        (["--cameras", "nonsense:1"], "--cameras nonsense:1: not a camera pair"),
+        (["--cameras", "oak:CAM_B"], "--cameras oak:CAM_B: name the left and the right one"),
+        (["--cameras", "v4l2:0,1", "--trigger", "oak"], "fires DepthAI cameras only"),
+        (["--link", "/dev/ttyAMA0,921600", "--link", "/dev/ttyAMA0,57600"], "/dev/ttyAMA0 is there twice"),
+        (["--link", "udpin:0.0.0.0:1", "--link", "udpin:0.0.0.0:1"], "udpin:0.0.0.0:1 is there twice"),
         (["--trigger", "bell"], "--trigger bell: not a trigger"),
         (["--router", "--link", "udpin:0.0.0.0:14550"], "needs the autopilot's serial device first"),
         (["--undo"], "nothing to undo"),
@@ -372,6 +389,22 @@ def test_at_a_terminal_it_asks_until_the_answers_fit(pi5: Path, monkeypatch: pyt
     defaults = (pi5 / DEFAULTS).read_text()
     assert 'SPANWISE_AIRFRAME="nadir-2m"' in defaults
     assert 'SPANWISE_CAMERAS="--cameras v4l2:/dev/video0,/dev/video2"' in defaults
+    answers = json.loads((pi5 / MANIFEST).read_text())["answers"]
+    assert answers == {"airframe": "nadir-2m", "cameras": "v4l2:/dev/video0,/dev/video2"}, "no suggestion is an answer"
+
+
+def test_what_nobody_chose_follows_the_board_and_what_is_installed(tmp_path: Path) -> None:
+    root = fake_board(tmp_path, "plain")
+    setup(root, "--airframe", "nadir-2m")
+    assert "--connect /dev/ttyACM0,921600" in (root / DEFAULTS).read_text()
+    setup(root, "--board", "pi4")
+    assert "--connect /dev/ttyAMA0,921600" in (root / DEFAULTS).read_text()
+    write(root, "usr/bin/mavlink-routerd", "", 0o755)
+    setup(root)
+    defaults = (root / DEFAULTS).read_text()
+    assert "--connect udpin:127.0.0.1:14550" in defaults
+    assert "Device = /dev/ttyAMA0" in (root / ROUTER).read_text(), "the board that was named is kept"
+    assert 'SPANWISE_AIRFRAME="nadir-2m"' in defaults
 
 
 @pytest.mark.parametrize("writes", range(6))  # manifest, three files, two edits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.adapters.triggers.firing import WaitingPlan
-from companion.records import Firing, Shot, TriggerPlan
+from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 MS = 1_000_000
 LEAD_MS = 4
@@ -46,3 +46,38 @@ def test_a_plan_made_before_a_command_never_fires_after_it() -> None:
     waiting.take(made(2, 140.0, 300.0))
     waiting.take(made(1, 140.0, 300.0))
     assert waiting.plan is None
+
+
+def test_a_plan_made_just_before_a_command_fires_once_the_shot_is_known_to_its_planner() -> None:
+    """As the first of a standby that takes over: it knows nothing of the shot, and refines its plan until it fires."""
+    waiting = WaitingPlan()
+    waiting.take(made(1, 60.0, 100.0))
+    waiting.fire(Board(), 100 * MS)
+    for planned_ms in (99.0, 140.0, 180.0, 220.0):
+        waiting.take(refined := made(2, planned_ms, 300.0))
+    assert waiting.plan == refined
+
+
+def test_a_plan_made_between_a_command_and_its_late_call_waits() -> None:
+    """The planner opens the next plan 3 ms after the command, whatever the trigger process does meanwhile."""
+    waiting = WaitingPlan()
+    waiting.take(made(1, 60.0, 100.0))
+    waiting.fire(Board(), 107 * MS)
+    waiting.take(following := made(2, 104.0, 300.0))
+    assert waiting.plan == following
+
+
+class Strange(Board):
+    """A driver that raises whatever its library does."""
+
+    def fire(self, plan: TriggerPlan) -> Shot:
+        raise ZeroDivisionError("no clock")
+
+
+def test_whatever_a_driver_raises_is_reported() -> None:
+    waiting = WaitingPlan()
+    waiting.take(made(1, 60.0, 100.0))
+    report = waiting.fire(Strange(), 100 * MS)
+    assert isinstance(report, Rejected)
+    assert report.reason is Reject.DEVICE_FAILED
+    assert "ZeroDivisionError: no clock" in report.what

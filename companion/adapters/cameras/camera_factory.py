@@ -25,7 +25,32 @@ SPELLINGS = (
     "oak-replay:LEFT.avi,RIGHT.avi (through DepthAI's replay nodes)",
     "recording:FILE.mcap",
 )
+_UNDIVIDED = ("folder", "recording")  # kinds whose place is that of both cameras
+_KINDS = tuple(spelling.partition(":")[0] for spelling in SPELLINGS)
 _FREE_RUN_HZ = 30.0  # convention: the rate of most cameras
+
+
+def parse_cameras(spelling: str, *, soft: bool = False) -> tuple[str, list[str]]:
+    """Take one of :data:`SPELLINGS` apart into its kind and its places: left and right, or one for both.
+
+    ``soft`` is whether the trigger is the DepthAI cameras' own.
+
+    Raises
+    ------
+    ConfigError
+        The spelling is none of these, or the software trigger is asked of other cameras than DepthAI's.
+    """
+    kind, colon, where = spelling.partition(":")
+    if not colon or not where or kind not in _KINDS:
+        raise ConfigError(f"--cameras {spelling}: not a camera pair; known are " + "; ".join(SPELLINGS))
+    if soft and kind != "oak":
+        raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
+    if kind in _UNDIVIDED:
+        return kind, [where]
+    words = [word.strip() for word in where.split(",")]
+    if len(words) != 2 or not all(words):
+        raise ConfigError(f"--cameras {spelling}: name the left and the right one, with a comma between")
+    return kind, words
 
 
 def camera_factory(
@@ -44,27 +69,22 @@ def camera_factory(
         trigger is asked of other cameras than DepthAI's. What opening raises, the factory raises.
     """
     left, right = _cameras(airframe)
-    kind, colon, where = spelling.partition(":")
-    if not colon or not where:
-        raise ConfigError(_unknown(spelling))
+    kind, places = parse_cameras(spelling, soft=soft is not None)
     if kind == "oak":
-        first, second = (_oak_sensor(word) for word in _two(where, spelling))
+        first, second = (_oak_sensor(word) for word in places)
         size_px = left.width_px, left.height_px
         return functools.partial(OakPair, first, second, size_px, _oak_timing(left, triggered), soft)
-    if soft is not None:
-        raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
     if kind == "v4l2":
-        return _v4l2(_two(where, spelling), left, right, triggered=triggered)
+        return _v4l2(places, left, right, triggered=triggered)
+    files = [Path(place) for place in places]
     if kind == "folder":
-        return functools.partial(_paced, FolderPair, Path(where), **_times_ns(left))
+        return functools.partial(_paced, FolderPair, *files, **_times_ns(left))
     if kind == "video":
-        return functools.partial(_paced, CapturePair, *map(Path, _two(where, spelling)), **_times_ns(left))
+        return functools.partial(_paced, CapturePair, *files, **_times_ns(left))
     if kind == "oak-replay":
-        first_file, second_file = map(Path, _two(where, spelling))
+        first_file, second_file = files
         return functools.partial(OakReplayPair, first_file, second_file, _oak_timing(left, triggered))
-    if kind == "recording":
-        return functools.partial(_paced, RecordedPair, Path(where))
-    raise ConfigError(_unknown(spelling))
+    return functools.partial(_paced, RecordedPair, *files)
 
 
 def _cameras(airframe: Airframe) -> tuple[Camera, Camera]:
@@ -77,17 +97,6 @@ def _cameras(airframe: Airframe) -> tuple[Camera, Camera]:
             "both cameras are opened and stamped alike"
         )
     return left, right
-
-
-def _unknown(spelling: str) -> str:
-    return f"--cameras {spelling}: not a camera pair; known are " + "; ".join(SPELLINGS)
-
-
-def _two(where: str, spelling: str) -> list[str]:
-    words = [word.strip() for word in where.split(",")]
-    if len(words) != 2 or not all(words):
-        raise ConfigError(f"--cameras {spelling}: name the left and the right one, with a comma between")
-    return words
 
 
 def _oak_sensor(word: str) -> OakSensor:
@@ -107,7 +116,7 @@ def _oak_timing(camera: Camera, triggered: bool) -> OakTiming:
 def _v4l2(words: list[str], left: Camera, right: Camera, *, triggered: bool) -> Callable[[], CameraPair]:
     """The driver stamps the end of the first row's exposure; from there back to the middle of the middle row's."""
     to_middle_s = 0.5 * left.row_time_s * (left.height_px - 1) - 0.5 * left.exposure_s
-    first, second = (int(word) if word.isdigit() else word for word in words)
+    first, second = (int(word) if word.isdecimal() else word for word in words)
     return functools.partial(
         CapturePair,
         first,

@@ -103,7 +103,8 @@ def list_images(camera: Path, side: Side) -> list[Stamped]:
     if not data.is_dir():
         raise DeviceError(f"{camera}: no such folder; the EuRoC layout has cam0/data (left) and cam1/data (right)")
     stamps = _table(camera / "data.csv")
-    frames = [Stamped(_stamp(path, stamps), side, path) for path in data.iterdir() if path.suffix.lower() in _IMAGES]
+    images = [path for path in data.iterdir() if path.suffix.lower() in _IMAGES and not path.name.startswith(".")]
+    frames = [Stamped(_stamp(path, stamps), side, path) for path in images]
     if not frames:
         raise DeviceError(f"{data}: no images ({', '.join(_IMAGES)})")
     return sorted(frames, key=lambda entry: (entry.t_ns, entry.path))
@@ -141,7 +142,7 @@ def _table(path: Path) -> dict[str, int]:
         return {}
     stamps: dict[str, int] = {}
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
     except (UnicodeDecodeError, csv.Error) as error:
         raise DeviceError(f"{path}: is no table in UTF-8: save it so, or name the images by their stamps") from error
     for number, row in enumerate(rows, start=1):

@@ -41,7 +41,7 @@ def cameras_from_handler(handler: Any, sockets: tuple[str, str], left: Camera, r
     Raises
     ------
     DeviceError
-        The device is not calibrated there, or its lens model has terms that ours has not.
+        The device is not calibrated there, or its lens model is another than ours, or has terms that ours has not.
     """
     left, right = (_with_lens(handler, socket, camera) for socket, camera in zip(sockets, (left, right), strict=True))
     try:
@@ -77,8 +77,11 @@ def _with_lens(handler: Any, socket: str, camera: Camera) -> Camera:
     try:
         matrix = handler.getCameraIntrinsics(_place(socket), camera.width_px, camera.height_px)
         bent = [float(term) for term in handler.getDistortionCoefficients(_place(socket))]
+        model = handler.getDistortionModel(_place(socket))
     except RuntimeError as error:
         raise DeviceError(f"no calibration for {socket}: {error}") from error
+    if model != library().CameraModel.Perspective:
+        raise DeviceError(f"{socket} has a lens model of another kind ({model.name}); run 'spanwise calibrate stereo'")
     if any(abs(term) > 0.0 for term in bent[_OUR_TERMS:]):
         raise DeviceError(f"{socket} has a rational lens model; run 'spanwise calibrate stereo' for five terms")
     k1, k2, p1, p2, k3 = [*bent[:_OUR_TERMS], *([0.0] * (_OUR_TERMS - len(bent)))]

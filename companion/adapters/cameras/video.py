@@ -52,22 +52,22 @@ class CapturePair:
         if self._live and sizes_px is not None:
             for capture, size_px in zip(self._captures, sizes_px, strict=True):
                 _ask_for_size(capture, size_px)
-        self._sequence = 0
+        self._sequence = [0, 0]
 
     def poll(self, timeout_s: float) -> list[Frame]:  # noqa: ARG002 - OpenCV waits for the frame itself
         """The next frame of both, and of a live camera that is behind the other the next ones; none at a file's end.
 
         A frame that one camera misses stays in the other's driver. Were it not fetched, all later pairs would be older
-        by a frame.
+        by a frame. Where the wait for a trigger ends between the two, the frame of one alone.
 
         Raises
         ------
         DeviceError
             A live camera gives no more frames, or frames without a stamp.
         """
-        grabbed = [self._grab(side) for side in Side]
-        if not all(grabbed):
-            return []
+        grabbed = [side for side in Side if self._grab(side)]
+        if len(grabbed) < len(Side):
+            return [self._frame(side) for side in grabbed] if self._live else []
         frames = [self._frame(side) for side in Side]
         newest = list(frames)
         for _ in range(_BUFFERS if self._live else 0):
@@ -77,7 +77,6 @@ class CapturePair:
                 break
             newest[behind] = self._frame(behind)
             frames.append(newest[behind])
-        self._sequence += 1
         return frames
 
     def close(self) -> None:
@@ -97,9 +96,10 @@ class CapturePair:
         read, image = capture.retrieve()
         if not read or (self._live and stamp_ns <= 0):
             raise DeviceError(f"camera {side.name.lower()} gave a frame without {'stamp' if read else 'image'}")
+        self._sequence[side] += 1
         return Frame(
             side=side,
-            sequence=self._sequence,
+            sequence=self._sequence[side] - 1,
             clock=self._clock,
             mid_exposure_ns=stamp_ns + self._shift_ns,
             exposure_ns=self._exposure_ns,

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable
 
 from companion.adapters.triggers.wire import LARGEST, Report, pack_report, unpack_plan
-from companion.errors import DeviceError
+from companion.errors import DeviceError, described
 from companion.ports import Trigger
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 SPIN_NS = 300_000
 """A sleeping process wakes late by up to some 200 us even when real-time; the rest is spun (choice)."""
 _IDLE_S = 0.1  # chosen: how late the trigger process sees that it is to end
+_HEARD_NS = 100_000_000  # chosen: a report that is 40 ms late and a planner's turn of 40 ms; then the shot is known
 _MEMORY_NS = 2_000_000_000  # chosen: a plan is not fired twice; one is forgotten long after its instant
 
 
@@ -23,22 +24,24 @@ class WaitingPlan:
     """Pending plan, and the rules by which it is replaced and fired; independent of any clock.
 
     A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
-    again, nor one that was planned before the last command: it came too late to replace that shot's plan. A plan
-    past its expiry is reported as ``PLAN_EXPIRED``, a line that fails as ``DEVICE_FAILED``.
+    again, nor one that was planned before the last command: it came too late to replace that shot's plan. What refines
+    it is not fired either, until the planner must have heard of that shot. A plan past its expiry is reported as
+    ``PLAN_EXPIRED``, a line that fails as ``DEVICE_FAILED``.
     """
 
     def __init__(self) -> None:
         self.plan: TriggerPlan | None = None
         self._fired_ns: dict[int, int] = {}
         self._last_ns = 0
+        self._late_id: int | None = None
 
     def take(self, plan: TriggerPlan) -> None:
         """Replace the waiting plan by a newer one, if the rules allow it."""
         if plan.plan_id in self._fired_ns:
             return
         if plan.planned_host_ns <= self._last_ns:
-            self._fired_ns[plan.plan_id] = self._last_ns
-        else:
+            self._late_id = plan.plan_id
+        elif plan.plan_id != self._late_id or plan.planned_host_ns > self._last_ns + _HEARD_NS:
             self.plan = None if plan.firing is Firing.SKIP else plan
 
     def fire(self, trigger: Trigger, now_host_ns: int) -> Shot | Rejected:
@@ -51,9 +54,12 @@ class WaitingPlan:
             shot = trigger.fire(plan)
         except (DeviceError, OSError) as error:
             return Rejected(Reject.DEVICE_FAILED, str(error), now_host_ns)
+        except Exception as error:  # whatever a library raises: the next plan is served
+            return Rejected(Reject.DEVICE_FAILED, f"{type(error).__name__}: {described(error)}", now_host_ns)
         self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_host_ns - _MEMORY_NS}
-        # not the edge's instant: a trigger board raises it later, and the next plan may be made meanwhile
-        self._fired_ns[plan.plan_id] = self._last_ns = now_host_ns
+        self._fired_ns[plan.plan_id] = now_host_ns
+        # not the edge's instant, nor that of a late call: from the command on the planner plans the next shot
+        self._last_ns = plan.command_host_ns
         return shot
 
 

@@ -22,11 +22,14 @@ class GpioTrigger:
     Raises
     ------
     DeviceError
-        ``gpiod`` is not installed, there is no such chip or line, or somebody else has it.
+        ``gpiod`` is not installed, or as version 1; there is no such chip or line, or somebody else has it.
     """
 
     def __init__(self, chip: str, line: int, *, active_low: bool = False) -> None:
         gpiod = import_extra("gpiod", "GPIO triggers", "gpio", DeviceError)
+        if not hasattr(gpiod, "request_lines"):
+            version = getattr(gpiod, "__version__", "1")
+            raise DeviceError(f"GPIO triggers need gpiod 2, this is {version}: pip install 'spanwise[gpio]'")
         settings = gpiod.LineSettings(
             direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=gpiod.line.Value.INACTIVE
         )

@@ -6,6 +6,7 @@ The line protocol is in ``tools/trigger_board/README.md``, the reference firmwar
 from __future__ import annotations
 
 import contextlib
+import termios
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ _EXCHANGES_ANEW = 4  # chosen: after a failure, which a next shot should not wai
 _EXCHANGES = 32  # chosen: newest exchanges that the clock rests on: quick ones enough, and young
 _OLDEST_NS = 1_000_000_000  # chosen: an offset that is older may be off by 30 us; the board is asked before a shot
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age (choice)
+_ANSWER_TIMES = 2  # convention: those of an exchange, received and sent
 _LONGEST_LINE = 256  # bytes: several times the longest of the protocol; what never ends a line is no board (choice)
 _WIDTH_US = 1000  # chosen: long enough for any camera's trigger input
 
@@ -93,7 +95,7 @@ class SerialBoardTrigger:
         """Open the port, find the board and read its clock."""
         try:
             self._serial = serial.Serial(self._port, self._baud, timeout=_ANSWER_S, write_timeout=_ANSWER_S)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             raise DeviceError(f"cannot open trigger board on {self._port}: {error}") from error
         with contextlib.suppress(NotImplementedError, OSError, ValueError):
             self._serial.set_low_latency_mode(True)
@@ -162,8 +164,11 @@ class SerialBoardTrigger:
         asked_ns = time.monotonic_ns()
         self._send(padded)
         with contextlib.suppress(DeviceError):
-            received, sent = self._await("t", self._asked)
+            answer = self._await("t", self._asked)
             answered_ns = time.monotonic_ns()
+            if len(answer) != _ANSWER_TIMES:
+                return
+            received, sent = answer
             if self._answer_length:
                 self.clock.add(asked_ns, _number(received), _number(sent), answered_ns)
             self._answer_length = len(f"t {self._asked} {received} {sent}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable
 
 from companion.adapters.triggers.gpio import GpioTrigger
@@ -19,6 +20,7 @@ SPELLINGS = (
     "gpio:/dev/gpiochip0,17 or gpio:/dev/gpiochip0,17,low (libgpiod; low is active low)",
     "oak or oak:41,38 (DepthAI cameras pull their own FSYNC pin, 41; further pins are held high)",
 )
+_NUMBER = re.compile("[0-9]{1,9}")
 
 
 def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
@@ -37,13 +39,13 @@ def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
         return MavlinkTrigger
     if spelling == "oak":
         return functools.partial(OakTrigger, SoftLine())
-    if kind == "oak" and words and all(word.isdigit() for word in words):
+    if kind == "oak" and words and all(_NUMBER.fullmatch(word) for word in words):
         return functools.partial(OakTrigger, SoftLine(tuple(int(word) for word in words)))
-    numbers = [int(word) for word in words[1:] if word.isdigit()]
+    numbers = [int(word) for word in words[1:] if _NUMBER.fullmatch(word)]
     if kind == "mavlink" and (words[:1], len(words), len(numbers)) in ((["relay"], 2, 1), (["servo"], 3, 2)):
         return functools.partial(MavlinkTrigger, LinkFiring(words[0], *numbers))
     if kind == "serial" and len(words) in (1, 2) and len(numbers) == len(words) - 1 and 0 not in numbers:
         return functools.partial(SerialBoardTrigger, words[0], *numbers)
-    if kind == "gpio" and len(words) in (2, 3) and words[1].isdigit() and words[2:] in ([], ["low"]):
+    if kind == "gpio" and len(words) in (2, 3) and _NUMBER.fullmatch(words[1]) and words[2:] in ([], ["low"]):
         return functools.partial(GpioTrigger, words[0], int(words[1]), active_low=words[2:] == ["low"])
     raise ConfigError(f"--trigger {spelling}: not a trigger; known are " + "; ".join(SPELLINGS))

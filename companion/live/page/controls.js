@@ -68,6 +68,10 @@ export class Parameters {
     field.disabled = !canSet;
     field.setAttribute("aria-label", row.name);
     field.onchange = async () => {
+      if (field.value === "") {  // emptied, or no number
+        field.value = String(row.value);
+        return;
+      }
       try {
         await post("parameters", { name: row.name, value: Number(field.value) });
         setTimeout(() => this.refresh(), REFRESH_MS);

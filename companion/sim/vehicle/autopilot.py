@@ -7,6 +7,7 @@ sending.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -22,6 +23,7 @@ from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BackendImu
 from companion.sim.vehicle.command_protocol import PERIODS_MS, CommandProtocol
 from companion.sim.vehicle.faults import Faults, boot_origin_ns
+from companion.sim.vehicle.mission_protocol import to_wire
 from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
@@ -233,8 +235,7 @@ class SimAutopilot:
         if name == "VFR_HUD":
             speed = self._flight.plan.airspeed_mps
             return mavlink.MAVLink_vfr_hud_message(speed, speed, int(heading), 60, -down, -vd)
-        degrees = 1e7 * 180.0 / (np.pi * 6378137.0)
-        place = (int(470000000 + north * degrees), int(80000000 + east * degrees), int(-down * 1000))
+        place = (*to_wire(north, east), int(-down * 1000))
         if name == "GPS_RAW_INT":
             return self._receiver_message(1000 * boot_ms, place, told_mps[0])
         return mavlink.MAVLink_global_position_int_message(
@@ -278,7 +279,10 @@ class SimAutopilot:
     def _command(self, message: Any, tick_ns: int) -> None:
         self.commands.append((tick_ns, message.command, message.get_srcComponent()))
         if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            result = self._set_interval(int(message.param1), int(message.param2), tick_ns)
+            if math.isfinite(message.param1) and math.isfinite(message.param2):
+                result = self._set_interval(int(message.param1), int(message.param2), tick_ns)
+            else:
+                result = mavlink.MAV_RESULT_DENIED
         elif message.command == mavlink.MAV_CMD_IMAGE_START_CAPTURE:
             result = self._capture(tick_ns)
         elif message.command == mavlink.MAV_CMD_DO_DIGICAM_CONTROL:

@@ -61,7 +61,10 @@ class CommandProtocol:
         if handler is None:
             return None
         self.commands.append((now_ns, message.command))
-        answers = handler(self, message)
+        try:
+            answers = handler(self, message)
+        except (ValueError, OverflowError):  # a parameter that is no number
+            answers = [_DENIED]
         result = answers.pop(0)
         peer = (message.get_srcSystem(), message.get_srcComponent())
         return [mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *peer), *answers]
@@ -87,7 +90,7 @@ class CommandProtocol:
 
     def _reposition(self, message: Any) -> list[Any]:
         """COMMAND_INT only, as ArduPlane; bit 0 of param2 changes to GUIDED."""
-        if message.get_type() != "COMMAND_INT":
+        if message.get_type() != "COMMAND_INT" or not math.isfinite(message.z):
             return [_DENIED]
         if int(message.param2) & 1:
             self.pilot.set_mode(FlightMode.GUIDED)
@@ -110,6 +113,8 @@ class CommandProtocol:
         """Roll and pitch from the quaternion, where the attitude bit or those of their rates say so (as ArduPlane)."""
         used = ~message.type_mask & 0xFF
         w, x, y, z = message.q
+        if not all(math.isfinite(entry) for entry in message.q):
+            return
         roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
         pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
         self.pilot.force(roll if used & 0b10000001 else None, pitch if used & 0b10000010 else None)
@@ -157,12 +162,12 @@ class CommandProtocol:
         p = self.pilot
         heading = int(math.degrees(p.course_rad)) % 360
         return mavlink.MAVLink_vfr_hud_message(
-            p.airspeed_mps, p.airspeed_mps, heading, 60, p.height_m + HOME_AMSL_M, p.climb_mps
+            p.airspeed_mps, math.hypot(*p.over_ground_mps), heading, 60, p.height_m + HOME_AMSL_M, p.climb_mps
         )
 
     def _encode_global_position_int(self, boot_ms: int) -> Any:
         p = self.pilot
-        north, east = p.airspeed_mps * math.cos(p.course_rad), p.airspeed_mps * math.sin(p.course_rad)
+        north, east = p.over_ground_mps
         return mavlink.MAVLink_global_position_int_message(
             boot_ms,
             *to_wire(p.north_m, p.east_m),
@@ -176,10 +181,11 @@ class CommandProtocol:
 
     def _encode_gps_raw_int(self, boot_ms: int) -> Any:
         p = self.pilot
-        speed = int(p.airspeed_mps * 100)
+        north, east = p.over_ground_mps
+        speed, course = int(math.hypot(north, east) * 100), math.degrees(math.atan2(east, north)) % 360.0
         altitude = int((p.height_m + HOME_AMSL_M) * 1000)
         return mavlink.MAVLink_gps_raw_int_message(
-            boot_ms * 1000, 4, *to_wire(p.north_m, p.east_m), altitude, 80, 80, speed, 0, 16
+            boot_ms * 1000, 4, *to_wire(p.north_m, p.east_m), altitude, 80, 80, speed, int(course * 100), 16
         )
 
     def _encode_sys_status(self, boot_ms: int) -> Any:

@@ -104,9 +104,10 @@ class MissionServer:
         if not 0 <= message.seq < len(self._raw):
             return [self._ack(mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         item = self._raw[message.seq]
-        values = [getattr(item, name) for name in item.get_fieldnames()[2:]]
+        names = item.get_fieldnames()[2:]
+        values = [getattr(item, name) for name in names]
         if message.seq == 0:
-            values[values.index(item.x) :] = [*to_wire(0.0, 0.0), HOME_AMSL_M, 0]
+            values[names.index("x") :] = [*to_wire(0.0, 0.0), HOME_AMSL_M, 0]
         return [mavlink.MAVLink_mission_item_int_message(*self._peer, *values)]
 
     def _mission_clear_all(self, message: Any, now_ns: int) -> list[Any]:
@@ -135,7 +136,7 @@ class MissionServer:
 
 def _item(message: Any) -> Item | None:
     """An item as the pilot flies it, or None if this autopilot does not know it."""
-    if message.command not in Order._value2member_map_:
+    if message.command not in Order._value2member_map_ or not math.isfinite(message.z):
         return None
     north, east = from_wire(message.x, message.y)
     height = message.z - HOME_AMSL_M if message.frame in _SEA_LEVEL else message.z

@@ -85,6 +85,7 @@ class SimPx4(SimAutopilot):
         del self._streams["RAW_IMU"]  # PX4 has none
         self._streams["HIGHRES_IMU"] = Interval(_ONBOARD_MS, self._tick_ns)
         self._streams["TIMESYNC"] = Interval(_TIMESYNC_MS, self._tick_ns + 1_000_000_000)
+        self._offered_ms = {name: interval.period_ms for name, interval in self._streams.items()}
         self._sent_windows: dict[str, int] = {}
 
     def receive(self, message: Any, now_boot_ns: int, host_ns: int) -> None:
@@ -117,7 +118,8 @@ class SimPx4(SimAutopilot):
         if not self._is_inertial(name):
             return True
         window = tick_ns // self._window_ns
-        if self._sent_windows.get(name) == window:
+        # a window that ended before this boot is none of its own
+        if self._sent_windows.get(name) == window or window * self._window_ns < self._origin_ns:
             return False
         self._sent_windows[name] = window
         return True
@@ -147,11 +149,15 @@ class SimPx4(SimAutopilot):
         self._acknowledge(message, result, tick_ns)
 
     def _set_interval(self, number: int, interval_us: int, tick_ns: int) -> int:
-        """Whatever there is a stream of is granted."""
+        """Whatever there is a stream of is granted; below 0 it ends, 0 is its rate of the start."""
         name = message_name(number)
-        if name not in self._streams and name not in self._imus:
+        if name not in self._offered_ms and name not in self._imus:
             return int(mavlink.MAV_RESULT_FAILED)
-        period_ms = max(round(interval_us / 1000), 1)
+        if interval_us < 0:
+            self._streams.pop(name, None)
+            self.granted.pop(name, None)
+            return int(mavlink.MAV_RESULT_ACCEPTED)
+        period_ms = max(round(interval_us / 1000), 1) if interval_us else self._offered_ms.get(name, _ONBOARD_MS)
         self._streams[name] = Interval(period_ms, tick_ns)
         self.granted[name] = period_ms
         return int(mavlink.MAV_RESULT_ACCEPTED)

@@ -121,6 +121,12 @@ class ScriptedPilot:
             self.select(self.current if 0 < self.current < len(self.items) else 1)
         return True
 
+    @property
+    def over_ground_mps(self) -> tuple[float, float]:
+        """Velocity over ground, north and east: through the air, and with the wind."""
+        level_mps = self.airspeed_mps * math.cos(self.pitch_rad - _TRIM_PITCH_RAD)
+        return level_mps * math.cos(self.course_rad), level_mps * math.sin(self.course_rad) + self.wind_east_mps
+
     def set_goal(self, north_m: float, east_m: float, height_m: float) -> None:
         """Circle about a place (DO_REPOSITION)."""
         self._goal = (north_m, east_m, height_m)
@@ -296,6 +302,7 @@ class ScriptedPilot:
         slope = self.pitch_rad - _TRIM_PITCH_RAD
         self.climb_mps = speed * math.sin(slope)
         self.course_rad = (self.course_rad + GRAVITY_MPS2 * math.tan(self.roll_rad) / max(speed, 8.0) * dt_s) % math.tau
-        self.north_m += self.airspeed_mps * math.cos(slope) * math.cos(self.course_rad) * dt_s
-        self.east_m += (self.airspeed_mps * math.cos(slope) * math.sin(self.course_rad) + self.wind_east_mps) * dt_s
+        north_mps, east_mps = self.over_ground_mps
+        self.north_m += north_mps * dt_s
+        self.east_m += east_mps * dt_s
         self.height_m = max(self.height_m + self.climb_mps * dt_s, 0.0)

@@ -88,10 +88,12 @@ class VehicleLink:
                 self._socket.bind((address.host, address.port))
             else:
                 self._socket.bind(("", 0))
-                self._peer = (address.host, address.port)
-        except OSError as error:
+                ends = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_DGRAM)
+                self._peer = str(ends[0][4][0]), address.port
+        except (OSError, UnicodeError) as error:
             self._socket.close()
-            raise LinkError(f"cannot open {connection}: {error.strerror}; give another HOST:PORT") from error
+            said = error.strerror if isinstance(error, OSError) else "this is no name of a host"
+            raise LinkError(f"cannot open {connection}: {said}; give another HOST:PORT") from error
 
     def send(self, frames: list[bytes]) -> None:
         """Send frames in as few datagrams as fit; what nobody takes is lost, as on any UDP link."""
@@ -106,7 +108,7 @@ class VehicleLink:
         self._put(block)
 
     def _put(self, block: bytes) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+        with contextlib.suppress(OSError):  # also a network that is gone, and comes again
             self._socket.sendto(block, self._peer or ("", 0))
 
     def drain(self) -> bytes:
@@ -115,7 +117,7 @@ class VehicleLink:
         while True:
             try:
                 data, self._peer = self._socket.recvfrom(65535)
-            except (BlockingIOError, ConnectionRefusedError):
+            except OSError:
                 return b"".join(blocks)
             blocks.append(data)
 
