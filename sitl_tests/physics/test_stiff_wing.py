@@ -11,7 +11,7 @@ from tools.bench.accuracy_score import score_cell
 
 @pytest.mark.slow
 def test_a_first_fit_that_is_wrong_costs_no_first_moments() -> None:
-    """Of one second a fit had 1.3 times the damping, and first moments were left out for the flight: 3 times behind."""
+    """A fit of one second had 1.3 times the damping, and first moments were left out for the flight: 3 times behind."""
     cell = next(cell for cell in cells("flight", 25, DURATION_S) if 70007 in cell.seeds)
     (score,) = score_cell(cell)
     error_rad2, reference_rad2 = score.slope_rad2
