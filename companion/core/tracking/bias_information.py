@@ -68,16 +68,3 @@ def solve_parameters(
     ``estimated`` and ``considered`` are indices into the parameters (c,), whose covariance is (c, c).
     """
     _solve(accumulated, sigma, estimated, considered, bias_parameters, covariance)
-
-
-def add_parameters(covariance: Floats, whitened: Floats, parameter_covariance: Floats) -> None:
-    """Add ``D P_c D^T`` to innovation covariances (n, r, r), lower half, in place; 0 where a row was absent.
-
-    ``whitened`` (n, r, c) is ``L^-1 D`` of the rows present, in their order, where ``L L^T`` is their covariance;
-    ``parameter_covariance`` (c, c) is P_c.
-    """
-    present = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
-    for used in np.unique(present, axis=0):
-        at, rows = np.flatnonzero((present == used).all(axis=1)), np.flatnonzero(used)
-        D = np.linalg.cholesky(covariance[block := np.ix_(at, rows, rows)]) @ whitened[at, : len(rows)]
-        covariance[block] += np.tril(D @ parameter_covariance @ D.swapaxes(1, 2))

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs, FilterState, make_history
 from companion.core.kernels.filter_loops import filter_epochs
-from companion.core.tracking.bias_information import add_parameters, age_information, marginalise, solve_parameters
+from companion.core.tracking.bias_information import age_information, marginalise, solve_parameters
 from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
 from companion.core.tracking.row_noise import RowNoise, slopes_as_forces
@@ -50,8 +50,8 @@ class SeparatedBiasFilter:
     covariance : (n, n) float64
         Of the state, given the bias parameters.
     bias_parameters : (c,) float64
-    steps, steps_of_noise : int
-        Steps done, and those of them since the noise was taken that it has now.
+    steps : int
+        Steps done.
     finite : bool
         False once the numbers have run away: only a fresh filter helps.
     """
@@ -84,7 +84,7 @@ class SeparatedBiasFilter:
         self._consider_scales((False, False), (False, False))
         self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
-        self._steps_since_solution = self.steps = self.steps_of_noise = 0
+        self._steps_since_solution = self.steps = 0
         self._by_parameters = 0.0  # of the NIS's sum, by the covariance of those that a flight may teach
         self._teachable = np.setdiff1d(np.arange(c), self._considered)
         self.finite = self._linearises_at_estimate = True
@@ -102,7 +102,7 @@ class SeparatedBiasFilter:
         other._filter_state = other._state_of_loops(self._filter_state.information.copy())
         other._by_parameters = 0.0
         other.history = make_history(1, self.layout.size, len(self.bias_parameters), ROWS)
-        other.steps = other.steps_of_noise = 0
+        other.steps = 0
         if model is not self.model:
             other.switch_model(model)
         else:
@@ -287,7 +287,12 @@ class SeparatedBiasFilter:
         P_c = self._bias_covariance[np.ix_(parameters, parameters)]
         slots = np.arange(self.steps - count, self.steps) % self.history_length
         covariance = self.history.innovation_covariance[slots]
-        add_parameters(covariance, self.history.whitened_innovation[slots][:, :, parameters + 1], P_c)
+        present = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
+        for used in np.unique(present, axis=0):
+            at, rows = np.flatnonzero((present == used).all(axis=1)), np.flatnonzero(used)
+            whitened = self.history.whitened_innovation[slots[at], : len(rows)][:, :, parameters + 1]
+            D = np.linalg.cholesky(covariance[block := np.ix_(at, rows, rows)]) @ whitened
+            covariance[block] += np.tril(D @ P_c @ D.swapaxes(1, 2))
         return slopes_as_forces(self.history.innovation[slots], covariance, self.history.lateral_gain[slots])
 
     def take_noise(self, noise: RowNoise, *, still: bool = False) -> bool:
@@ -297,7 +302,6 @@ class SeparatedBiasFilter:
             root_y_variance=noise.root_y_variance,
             root_z_variance=noise.root_z_variance,
         )
-        self.steps_of_noise = 0
         again = self._consider_scales((True, True) if still else noise.vibrating, noise.strongly_vibrating)
         self._solve_bias_parameters()
         return again
@@ -317,7 +321,6 @@ class SeparatedBiasFilter:
             gained = np.sum((self._filter_state.information - before)[1:, 1:][at] * self._bias_covariance[at])
             self._by_parameters = (1.0 - self.model.step_s) ** count * self._by_parameters + float(gained)
             self.steps, self._steps_since_solution = self.steps + count, self._steps_since_solution + count
-            self.steps_of_noise += count
             if self._steps_since_solution >= _SOLVE_EVERY:
                 self._solve_bias_parameters()
                 self._age_wandering()

@@ -221,7 +221,7 @@ class WingTracker:
 
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
-        count = min(self._kalman.steps_of_noise, round(1.0 / self._step_s), self._kalman.history_length)
+        count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
         if self._kalman.steps * self._step_s < _BLIND_S:
             count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
         trial = self._kalman.innovations(count, of_all=True), self._model, self._trial, self._trial_epochs
