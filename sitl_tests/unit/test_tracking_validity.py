@@ -17,7 +17,7 @@ from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_
 from companion.core.tracking.prediction import Forecast
 from companion.core.tracking.states import StateLayout, make_layout
 from companion.core.tracking.tracker import WingTracker
-from companion.core.tracking.validity import classify_validity
+from companion.core.tracking.validity import ModalActivity, classify_validity
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ModeState, Notice, Reject, Station, Tick, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
@@ -81,14 +81,19 @@ def test_calm_is_judged_by_both_modes_together() -> None:
     )
 
 
-def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -> None:
-    """Vertical axes alone contradict no load, however large, that holds a wing still where it is."""
+def _unadapted() -> tuple[SeparatedBiasFilter, ModalActivity]:
+    """Filter and activity of a tracker that keeps its parameters, 3.4 s into a swing of 4 mm."""
     tracker = WingTracker(plain_airframe(), Settings(adapt=0))
     t, values = swinging(3.4, 0.004)
     for station, v in values.items():
         tracker.add(batch(station, t, v))
     assert tracker.advance(EPOCH_NS + 3400 * MS) is not None
-    kalman, activity = tracker._kalman, tracker._activity
+    return tracker._kalman, tracker._activity
+
+
+def test_a_deflection_that_no_gust_of_the_fit_explains_contradicts_the_model() -> None:
+    """Vertical axes alone contradict no load, however large, that holds a wing still where it is."""
+    kalman, activity = _unadapted()
     assert activity.deflection_sigmas < 3.0
     q = kalman.layout.families[1].q
     gust_m2 = stationary(kalman.layout, kalman.noise, kalman.model)[q, q]
@@ -271,12 +276,7 @@ def test_an_unknown_trim_bend_is_not_predicted_to_swing() -> None:
 
 def test_a_deflection_that_an_unknown_constant_explains_contradicts_no_model() -> None:
     """A misalignment that is only considered moves the deflection by several of the gusts' sigmas."""
-    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
-    t, values = swinging(3.4, 0.004)
-    for station, v in values.items():
-        tracker.add(batch(station, t, v))
-    assert tracker.advance(EPOCH_NS + 3400 * MS) is not None
-    kalman, activity = tracker._kalman, tracker._activity
+    kalman, activity = _unadapted()
     q = kalman.layout.families[1].q
     sigma_m = math.sqrt(stationary(kalman.layout, kalman.noise, kalman.model)[q, q])
     parameter_sigma = math.sqrt(kalman.bias_parameter_covariance[0, 0])

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from companion.records import Floats
+
 TAPER = 0.05
 """Share of a recording over which each end fades in its spectra (choice)."""
 FADES_S = 3.0
@@ -25,3 +29,12 @@ def fast_length(count: int, up: bool) -> int:
                     best = base
                 base *= 2
     return best
+
+
+def half_cosine(values: Floats, full_at: float, zero_at: float) -> Floats:
+    """Share at each value (n,): 1 from ``full_at`` on, 0 from ``zero_at`` on, and half a cosine in between.
+
+    It falls where ``full_at`` is the smaller of the two, and rises where it is the larger.
+    """
+    ramp = np.clip((values - zero_at) / (full_at - zero_at), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * ramp))

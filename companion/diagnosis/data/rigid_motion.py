@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from companion.core.wing.lowpass import Butterworth2
+from companion.diagnosis.data.grid import half_cosine
 from companion.params.airframe import Airframe
 from companion.records import Complexes, Floats, Side
 
@@ -41,7 +42,7 @@ def roll_share(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe
     that is not coherent with the tips and exceeds a quarter of their power is vibration of the gyro's mount. It stays.
     """
     f_hz = np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz))
-    manoeuvre = _fade(f_hz, _WHOLE_HZ, _NOTHING_HZ)
+    manoeuvre = half_cosine(f_hz, _WHOLE_HZ, _NOTHING_HZ)
     width = int(len(t_s) / rate_hz)  # bins of 1 Hz
     bands = len(f_hz) // max(width, 1)
     if "p" not in rigid or bands < 1:
@@ -102,11 +103,11 @@ def rotation_forces(
 ) -> Floats:
     """Specific force that the aircraft's turning adds at tips, (c, 3, m), m/s^2; ``rolled`` by :func:`roll_share`."""
     rates = np.zeros((3, len(t_s)))
-    manoeuvre = _fade(np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz)), _WHOLE_HZ, _NOTHING_HZ)
+    manoeuvre = half_cosine(np.asarray(np.fft.rfftfreq(len(t_s), 1.0 / rate_hz)), _WHOLE_HZ, _NOTHING_HZ)
     for row, letter in enumerate("pqr"):
         if letter in rigid:
-            recorded = undo_lowpass(np.interp(t_s, *rigid[letter]), rate_hz, airframe.root.lowpass_gyro_hz)
-            rates[row] = _filtered(recorded, manoeuvre if rolled is None or letter != "p" else rolled)
+            gain = manoeuvre if rolled is None or letter != "p" else rolled
+            rates[row] = _filtered(_rate(rigid[letter], t_s, rate_hz, airframe), gain)
     tips = [(airframe.left, airframe.right)[side].position_m for side in sides]
     arms = [np.subtract(tip, airframe.root.position_m) for tip in tips]
     return np.stack([rotation_force(rates, rate_hz, arm) for arm in arms])
@@ -124,8 +125,11 @@ def roll_rate(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe)
     """The root's roll rate in manoeuvres, (m,); zeros where it was not recorded."""
     if "p" not in rigid:
         return np.zeros(len(t_s))
-    recorded = undo_lowpass(np.interp(t_s, *rigid["p"]), rate_hz, airframe.root.lowpass_gyro_hz)
-    return _faded(recorded, rate_hz, _WHOLE_HZ, _NOTHING_HZ)
+    return _faded(_rate(rigid["p"], t_s, rate_hz, airframe), rate_hz, _WHOLE_HZ, _NOTHING_HZ)
+
+
+def _rate(channel: tuple[Floats, Floats], t_s: Floats, rate_hz: float, airframe: Airframe) -> Floats:
+    return undo_lowpass(np.interp(t_s, *channel), rate_hz, airframe.root.lowpass_gyro_hz)
 
 
 def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats:
@@ -140,12 +144,7 @@ def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats
 
 
 def _faded(values: Floats, rate_hz: float, whole_hz: float, nothing_hz: float) -> Floats:
-    return _filtered(values, _fade(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)), whole_hz, nothing_hz))
-
-
-def _fade(f_hz: Floats, whole_hz: float, nothing_hz: float) -> Floats:
-    left = np.clip((nothing_hz - f_hz) / (nothing_hz - whole_hz), 0.0, 1.0)
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * left))
+    return _filtered(values, half_cosine(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)), whole_hz, nothing_hz))
 
 
 def _filtered(values: Floats, gain: Floats | Complexes) -> Floats:

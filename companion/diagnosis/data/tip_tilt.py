@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.foreshortening import foreshortening_pm
+from companion.diagnosis.data.grid import half_cosine
 from companion.params.airframe import Wing
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
@@ -69,10 +70,9 @@ def _local_sum(values: Floats, width: float) -> Floats:
 def _fast_motion(up_mps2: Floats, rate_hz: float, first_hz: float) -> tuple[Floats, Floats]:
     """Deflection, m, and speed, m/s, of an acceleration (m,) without what is slow."""
     count = len(up_mps2)
-    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
-    rise = np.clip((f_hz / first_hz - _LOW) / (_FULL - _LOW), 0.0, 1.0)
+    f_hz: Floats = np.asarray(np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
     omega = 2.0 * np.pi * np.maximum(f_hz, _LOW * first_hz)
-    once = (0.5 - 0.5 * np.cos(np.pi * rise)) / (1j * omega)
+    once = half_cosine(f_hz / first_hz, _FULL, _LOW) / (1j * omega)
     spectrum = once * np.fft.rfft(up_mps2 - np.linspace(up_mps2[0], up_mps2[-1], count))
     return np.fft.irfft(spectrum / (1j * omega), count), np.fft.irfft(spectrum, count)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.diagnosis.data.grid import TAPER, faded_share
+from companion.diagnosis.data.grid import TAPER, faded_share, half_cosine
 from companion.diagnosis.recent_results import RecentResults
 from companion.records import Complexes, Floats, Ints
 
@@ -20,8 +20,8 @@ class Transforms:
         self.count, self.dt_s, self.start_s = count, dt_s, start_s
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
-        self._fade_s = faded_share(count * dt_s) * count * dt_s
-        self.fading = _tukey(count, faded_share(count * dt_s))
+        faded = faded_share(count * dt_s)
+        self._fade_s, self.fading = faded * count * dt_s, _tukey(count, faded)
         self._recent_places: RecentResults[bytes, tuple[Ints, Floats]] = RecentResults(_CACHED)
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
@@ -48,10 +48,8 @@ class Transforms:
         A gain that begins abruptly answers as 1/t, and where omega^-2 is large the samples that fade at the ends are
         missed far inside. A rise as wide as 1 over the fade has forgotten them there; it at most doubles its frequency.
         """
-        f_hz = self.f_hz[:top]
         width_hz = max(min(1.0 / self._fade_s, self.f_hz[low]), self.f_hz[1])
-        rise = np.clip((f_hz - self.f_hz[low]) / width_hz, 0.0, 1.0)
-        return np.asarray(0.5 - 0.5 * np.cos(np.pi * rise))
+        return half_cosine(self.f_hz[:top], self.f_hz[low] + width_hz, self.f_hz[low])
 
     def in_time(self, spectrum: Complexes) -> Floats:
         """Back to (c, m); frequencies that are not given are 0."""
