@@ -7,6 +7,7 @@ images of a world would do to matching stands in ``ImageFaults.match_ratio`` and
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -143,14 +144,16 @@ _COLUMNS = ("pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", 
 
 
 def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: CorrectedRange) -> list[float]:
+    """A shot's row; the truth is worked out where the range was published."""
     matches = outputs.matches[entry.pair_id]
     t_ns = int(matches.mid_exposure_ns.mean()) - HOST_EPOCH_NS
-    geometry = TrueGeometry(flight, pair.at(t_ns), Settings(), HOST_EPOCH_NS)
-    reading = geometry.oracle(matches)
-    true_m = float("nan") if reading is None else 1.0 / reading.true_inverse_pm
-    toe = geometry.true_toe_rad(matches)
+    toe = true_m = axis_m = math.nan
+    if entry.trusted:
+        geometry = TrueGeometry(flight, pair.at(t_ns), Settings(), HOST_EPOCH_NS)
+        toe, axis_m, reading = geometry.true_toe_rad(matches), geometry.true_range_m(matches), geometry.oracle(matches)
+        true_m = math.nan if reading is None else 1.0 / reading.true_inverse_pm
     return [entry.pair_id, t_ns / _S, toe, entry.toe_rad, entry.toe_sigma_rad, true_m, entry.range_m,
-            entry.sigma_m, float(entry.trusted), geometry.true_range_m(matches)]  # fmt: skip
+            entry.sigma_m, float(entry.trusted), axis_m]  # fmt: skip
 
 
 def _outputs(flight: Flight, inputs: list[Record], lands_ns: int) -> tuple[PipelineOutputs, dict[str, list[float]]]:
@@ -178,9 +181,10 @@ def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
     earlier: PosedCamera | None = None
     for number, edge_ns in enumerate(range(_S // 2, end_ns, _SHOT_NS)):
         mids = [shutters.exposure(side, edge_ns, number).mid_boot_ns for side in Side]
-        left_px, right_px, points = _matched(flight, pair.at(mids[0]), mids, ratio, number)
+        posed = pair.at(mids[0])
+        left_px, right_px, points = _matched(flight, posed, mids, ratio, number)
         flow = _flowed(flight, earlier, points, ratio, number)
-        earlier = pair.at(mids[0]).view(Side.LEFT, mids[Side.LEFT])
+        earlier = posed.view(Side.LEFT, mids[Side.LEFT])
         host_ns = np.array(mids, dtype=np.int64) + HOST_EPOCH_NS
         yield MatchSet(
             number, number, (ClockName.HOST, ClockName.HOST), host_ns, 2_000_000, 0,
