@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection
+from itertools import compress
 
 import numpy as np
 
@@ -31,7 +32,7 @@ _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated. The tips' stamps are
 # considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
 _CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
-_SCALES = ("kz", "ky", "kp")
+_SCALES, _MISALIGNMENTS = ("kz", "ky", "kp"), ("mx", "my", "mz")
 # by a vibrating tip, whose lateral axis shares its vertical vibration
 _TAUGHT_FALSELY = ("shortening", "further_shortening", "trim")
 # chosen, relative sigma of a bend per g that is considered as well: a flight's gusts tell it no better, and where the
@@ -138,14 +139,15 @@ class SeparatedBiasFilter:
         Vibration is coherent from epoch to epoch. A load that follows it, or the noise about a still wing, makes
         predictions and innovations contradict each other by it. Every scale learned so comes out small, slopes' and
         foreshortening's too; and by its product with the bend the latter teaches the trim. A misalignment about x and a
-        lateral bias differ by the vertical force alone, with which a strongly vibrating tip's lateral motion goes.
+        lateral bias differ by the vertical force alone, with which a strongly vibrating tip's lateral motion goes; what
+        is then told of the others is less certain than their priors.
         """
         tips = zip(("left", "right"), vibrating, self.layout.vertical_only_tips, strict=True)
         places = [place for place, vibrates, vertical_only in tips if vibrates or vertical_only]
         names = [f"{place}.{scale}" for place in places for scale in _SCALES]
         names += self._slopes() if places else []
         names += _TAUGHT_FALSELY if any(vibrating) else []
-        names += [f"{place}.mx" for place, strong in zip(("left", "right"), strongly, strict=True) if strong]
+        names += [f"{tip}.{error}" for tip in compress(("left", "right"), strongly) for error in _MISALIGNMENTS]
         names = [name for name in names if name in self.layout.bias_parameters]
         again = [name for name in self._considered_now if name not in names]
         if again:
@@ -212,8 +214,7 @@ class SeparatedBiasFilter:
     @property
     def state(self) -> Floats:
         """State at the estimated bias parameters, (n,)."""
-        state: Floats = self.state_and_sensitivity[:-1] @ self._one_and_bias
-        return state
+        return np.asarray(self.state_and_sensitivity[:-1] @ self._one_and_bias)
 
     @property
     def one_and_bias(self) -> Floats:
@@ -251,8 +252,7 @@ class SeparatedBiasFilter:
         """Total covariance (n, n) with the symmetric deflection measured from the static bend."""
         v = self.state_and_sensitivity[:-1, 1:].copy()
         v[self.layout.symmetric.q] -= self.state_and_sensitivity[-1, 1:]
-        total: Floats = self.covariance + v @ self._bias_covariance @ v.T
-        return total
+        return np.asarray(self.covariance + v @ self._bias_covariance @ v.T)
 
     @property
     def nis(self) -> float:

@@ -19,6 +19,8 @@ from companion.params.airframe import Wing
 from companion.records import Floats
 
 _CREDIBLE_SIGMAS = 5.0  # chosen: of the prior; a jump of the lateral force on lifting off gave a scale of 30
+_LOOK_S = 1.0  # chosen: often enough for noise that is new; its median square is right to 15 %
+_BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
 _SEGMENTS = 5  # chosen: of 40 ms each, late ones of up to 0.1 s; filtered in one stage
 
 
@@ -61,6 +63,15 @@ def fresh_filter(
     if linearised_at is not None and np.all(np.abs(linearised_at) < _CREDIBLE_SIGMAS * layout.bias_parameter_sigma):
         kalman.linearise_at(linearised_at)
     return kalman
+
+
+def newest_innovations(kalman: SeparatedBiasFilter, step_s: float) -> tuple[Floats, Floats]:
+    """Innovations (n, 9) of the last second and their covariance (n, 9, 9), by which noise is learned.
+
+    None early on: by a gust that is only believed they tell of its error, and not of the sensors' noise.
+    """
+    count = min(kalman.steps, round(_LOOK_S / step_s), kalman.history_length)
+    return kalman.innovations(count if kalman.steps * step_s >= _BLIND_S else 0, of_all=True)
 
 
 def readapt(

@@ -69,9 +69,7 @@ def join(runs: list[Epochs]) -> Epochs:
 class MeasurementBuilder:
     """Epochs from the three streams: averages, rigid motion removed, Jacobians."""
 
-    def __init__(
-        self, layout: StateLayout, noise: SensorNoise, streams: tuple[SampleBuffer, SampleBuffer, SampleBuffer]
-    ) -> None:
+    def __init__(self, layout: StateLayout, noise: SensorNoise, streams: tuple[SampleBuffer, ...]) -> None:
         self._streams = streams
         root, left, right = (np.array(stream.sensor.position_m) for stream in streams)
         self._levers_m = np.stack([left - root, right - root])

@@ -30,7 +30,7 @@ from companion.core.tracking.manoeuvre_error import ManoeuvreError
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
-from companion.core.tracking.readaptation import NewParameters, fresh_filter, readapt
+from companion.core.tracking.readaptation import NewParameters, fresh_filter, newest_innovations, readapt
 from companion.core.tracking.rigid_body import BEFORE, MeasurementBuilder, RareGates, join
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
@@ -45,7 +45,6 @@ from companion.records import Deflection, ImuBatch, ModeState, Reject, Rejected,
 _HISTORY_S = 1.25  # chosen: longest lag of the smoother, and what ticks and two stamps of a pair are late
 _TURN_S, _TURNS = 0.1, 10  # chosen: lines out of lock turn as the locked ones, and so often until all are searched for
 _FALLING = 0.7  # chosen: of the NIS before: new parameters that take away as much have found what was wrong
-_BLIND_S = 1.75  # derived: the first fit begins after 1.5 s, the second after 2
 _TRIAL_S = 1.5  # derived: fits come once a second
 
 
@@ -58,17 +57,15 @@ class WingTracker:
         self._step_s = self._step_ns * 1e-9
         self._streams = tuple(SampleBuffer(airframe.sensor(station), station.name.lower()) for station in Station)
         self._layout = make_layout(airframe)
-        root, left, right = self._streams
         self._noise = make_noise(airframe, self._layout, self._step_s)
-        self._front_end = MeasurementBuilder(self._layout, self._noise, (root, left, right))
-        root_y_m = airframe.root.position_m[1]
-        self._levers = (airframe.left.position_m[1] - root_y_m, airframe.right.position_m[1] - root_y_m)
+        self._front_end = MeasurementBuilder(self._layout, self._noise, self._streams)
+        root_y_m, left_y_m, right_y_m = (stream.sensor.position_m[1] for stream in self._streams)
+        self._levers = left_y_m - root_y_m, right_y_m - root_y_m
         self._keep, self._turn_epochs = int(_HISTORY_S / self._step_s) + 8, int(_TURN_S / self._step_s)
         (symmetric, antisymmetric), gust = self._layout.families, airframe.wing.gust
         self._prior = prior_parameters(symmetric, gust), prior_parameters(antisymmetric, gust)
         self._fresh = functools.partial(fresh_filter, self._layout, self._noise, airframe.wing, self._keep)
-        self._forecaster = Forecaster(self._layout)
-        self._body_rates = BodyRates(self._keep, self._step_s)
+        self._forecaster, self._body_rates = Forecaster(self._layout), BodyRates(self._keep, self._step_s)
         self._start_ns: int | None = None
         self._reopened_ns = self._settle_ns = self._next_ns = 0
         self._lines, self._search_due = LineFollowing(self._streams), 0  # epoch of the grid
@@ -215,16 +212,20 @@ class WingTracker:
                     self._take(self._readaptation.finish())
                 idle = self._readaptation is None and not self._adaptation.early
                 if idle and self._step_s * sum(each.length for each in self._trial_epochs) > _TRIAL_S:
-                    self._mark()  # there was no fit, for want of samples or for a blow, and the epochs must not pile up
+                    self._row_noise.learn(*newest_innovations(self._kalman, self._step_s))
+                    self._take_noise()
+                    self._mark()  # there was no fit, for want of samples or for a blow, as which new noise passes
         for stream in self._streams:
             stream.forget(self._next_ns - BEFORE * self._step_ns)
 
+    def _take_noise(self) -> None:
+        """Filter by the learned noise from here on."""
+        if self._kalman.take_noise(self._row_noise, still=self._activity.still):
+            self._reopened_ns, self._manoeuvre_error = self._next_ns, ManoeuvreError()
+
     def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
         """Begin to fit parameters, and to try them on all that was measured early on, later since the last fit."""
-        count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        if self._kalman.steps * self._step_s < _BLIND_S:
-            count = 0  # innovations by a gust that is only believed tell of its error, and not of the sensors' noise
-        trial = self._kalman.innovations(count, of_all=True), self._model, self._trial, self._trial_epochs
+        trial = newest_innovations(self._kalman, self._step_s), self._model, self._trial, self._trial_epochs
         self._readaptation = SpreadWork(readapt(fit, self._row_noise, *trial))
 
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
@@ -240,8 +241,7 @@ class WingTracker:
     def _take(self, new: NewParameters) -> None:
         """Take new parameters unless they make the measurements inconsistent."""
         self._readaptation, self._row_noise = None, new.row_noise
-        if self._kalman.take_noise(new.row_noise, still=self._activity.still):
-            self._reopened_ns, self._manoeuvre_error = self._next_ns, ManoeuvreError()
+        self._take_noise()
         model, self._refused = new.model, False
         if new.tried is not None:
             if remaining := self._trial_epochs[new.segments :]:
