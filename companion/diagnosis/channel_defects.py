@@ -10,6 +10,8 @@ from companion.records import Bools, Floats
 _PILED = 0.005  # share of samples at the largest or smallest value, from which they may be clipped (choice)
 _SPIKY = 12.0  # median steps from the median of neighbours, beyond which a sample is wild (choice)
 _AROUND = 51  # chosen: samples whose median step is the usual one there, some periods
+# chosen, of the samples: more are the channel's form; short pulses of a random binary force are a fifth of it
+_MOST_WILD = 0.05
 _STEEP = 6.0  # chosen: times the samples of the next value; of a coarsely sampled sine it is 1/(2^(1/2) - 1) = 2.4
 
 CLIPPED = "piles up at its largest or smallest value: it is clipped"
@@ -34,9 +36,10 @@ def is_clipped(values: Floats) -> bool:
 
 
 def wild_samples(values: Floats) -> Bools:
-    """Single samples (n,) that lie far from their neighbours."""
+    """Single samples (n,) that lie far from their neighbours; none where so many do that the channel has that form."""
     distance = np.abs(values - medfilt(values, SPIKE))
     step = np.abs(np.diff(values, prepend=values[0]))
     around = min(_AROUND, len(values) - 1 + len(values) % 2)  # odd
     usual = np.maximum(medfilt(step, around), float(np.median(step)))  # a vibration may be calm most of the time
-    return np.asarray(distance > _SPIKY * usual)
+    wild = np.asarray(distance > _SPIKY * usual)
+    return wild if np.count_nonzero(wild) <= _MOST_WILD * len(values) else np.zeros_like(wild)
