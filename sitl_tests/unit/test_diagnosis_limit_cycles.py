@@ -233,6 +233,16 @@ def test_a_decay_gives_the_spring_s_curve() -> None:
     assert np.interp(q, curve.deflection, curve.force) == pytest.approx(force, rel=0.05)
 
 
+def test_two_amplitudes_give_no_spring() -> None:
+    """Three coefficients ended in a traceback."""
+    level = np.repeat([1.0, 0.5], 3)
+    t_s, calm = np.arange(6.0), np.zeros(6, dtype=np.bool_)
+    assert (
+        force_curve(VibrationTrack("run", None, t_s, np.full(6, 3.0), -0.1 * calm, {"heave": level}, calm), "heave")
+        is None
+    )
+
+
 def hopf(speeds: Floats, seed: int) -> list[VibrationTrack]:
     """Cycles of A^2 = V - 24 and a frequency that goes with A^2, wrong by 0.1 and 0.02 %."""
     rng, ones = np.random.default_rng(seed), np.ones(4)

@@ -43,14 +43,16 @@ class ForceCurve:
 
 
 def force_curve(entry: VibrationTrack, response: str) -> ForceCurve | None:
-    """The spring by the windows of one recording; None where there are too few."""
+    """The spring by the windows of one recording; None where there are too few, or of too few amplitudes."""
     a = entry.amplitude[response]
     if len(a) < _FEWEST or float(np.ptp(a)) == 0.0:
         return None
     largest = float(a.max())
     design = np.stack([np.ones(len(a)), (a / largest) ** 2, (a / largest) ** 4], 1) * a[:, None]
     square = (2.0 * np.pi * entry.frequency_hz) ** 2 * a
-    values, rest, *_ = np.linalg.lstsq(design, square, rcond=None)
+    values, rest, rank, _ = np.linalg.lstsq(design, square, rcond=None)
+    if rank < design.shape[1]:
+        return None
     variance = float(rest[0]) / max(len(a) - 3, 1) if len(rest) else 0.0
     spread = np.sqrt(variance * np.diag(np.linalg.inv(design.T @ design)))
     k3, k5 = values[1] / (_CUBIC * largest**2), values[2] / (_QUINTIC * largest**4)
