@@ -218,6 +218,16 @@ def test_windows_tell_frequency_and_damping_of_a_decay() -> None:
     np.testing.assert_allclose(np.median(track.damping[early]), 0.01, rtol=0.1)
 
 
+def test_windows_of_a_slow_structure_hold_a_period_and_a_half() -> None:
+    """Windows of 0.3 s had no sample at 1.5 Hz, and the page of such a decay ended in a traceback."""
+    t_s = np.arange(600) / 1.5
+    decay = np.exp(-0.01 * 2.0 * np.pi * 0.3 * t_s) * np.cos(2.0 * np.pi * 0.3 * t_s)
+    still = np.zeros(600)
+    track = backbone(FreeDecay("slow", 1.5, t_s, decay, np.where(t_s < 3.0, 1.0, 0.0), still, {}, np.abs(decay)))
+    assert track.length_s == pytest.approx(5.0, rel=0.01)
+    np.testing.assert_allclose(np.median(track.frequency_hz), 0.3, rtol=0.1)
+
+
 def diagnosed(raws: list[RawFreeDecay], most: int = 3) -> dict[str, object]:
     recordings, scales = prepare(raws, BAND_HZ)
     return as_json(diagnose(recordings, *BELIEF, BAND_HZ, most), scales, None)

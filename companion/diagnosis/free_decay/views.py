@@ -14,7 +14,8 @@ from companion.diagnosis.free_decay.model import FreeDecayModel
 from companion.diagnosis.free_decay.record import FreeDecay, rise
 from companion.records import Floats
 
-_WINDOW_S, _STEP_S = 0.3, 0.1  # chosen: a period and a half at 5 Hz, moved by a third so that windows overlap
+_WINDOW_S, _PERIODS = 0.3, 1.5  # chosen: a period and a half at 5 Hz, and so many of a slower structure
+_STEP_RATIO = 1.0 / 3.0  # chosen: of a window, by which the next one lies later: they overlap
 _FINER = 8  # zero padding of a spectrum whose peak is interpolated (choice)
 _QUIET = 0.02  # chosen: of the mean squared impulse, up to which a sample has no impulse
 _LEAST_AMPLITUDE = 0.03  # of the envelope's 95th percentile, below which it is noise (choice)
@@ -24,19 +25,24 @@ _SPREAD = 2.5  # chosen: of the map, in rms: nearly all of a decay lies within
 
 @dataclass(frozen=True, slots=True)
 class WindowedBackbone:
-    """Quiet windows, (w,) each: middle, frequency, damping by the envelope's fall, amplitude, channels there."""
+    """Quiet windows, (w,) each: middle, frequency, damping by the envelope's fall, amplitude, channels there.
+
+    Each lasts ``length_s``.
+    """
 
     t_s: Floats
     frequency_hz: Floats
     damping: Floats
     amplitude_mps2: Floats
     channels: dict[str, Floats]
+    length_s: float
 
 
 def backbone(record: FreeDecay) -> WindowedBackbone:
     """Frequency, damping and amplitude of every window without an impulse in it."""
-    length, step = round(_WINDOW_S * record.rate_hz), max(round(_STEP_S * record.rate_hz), 1)
     up = _without_drift(record)
+    length_s = max(_WINDOW_S, _PERIODS / _peak_hz(up, record.rate_hz))
+    length, step = round(length_s * record.rate_hz), max(round(_STEP_RATIO * length_s * record.rate_hz), 1)
     envelope = np.abs(hilbert(up))
     loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
     least = _LEAST_AMPLITUDE * float(np.percentile(envelope, 95))
@@ -52,7 +58,7 @@ def backbone(record: FreeDecay) -> WindowedBackbone:
         at.append(window)
     table = np.array(rows).reshape(-1, 4)
     channels = {name: np.array([values[window].mean() for window in at]) for name, values in record.channels.items()}
-    return WindowedBackbone(table[:, 0], table[:, 1], table[:, 2], table[:, 3], channels)
+    return WindowedBackbone(table[:, 0], table[:, 1], table[:, 2], table[:, 3], channels, length_s)
 
 
 def _without_drift(record: FreeDecay) -> Floats:

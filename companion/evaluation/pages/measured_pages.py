@@ -152,7 +152,8 @@ def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> 
     for k, recording in enumerate(model.recordings):
         track = backbone(recording)
         at = scale.mean + scale.rms * track.channels[name]
-        frequency.plot(at, track.frequency_hz, ".", ms=4, color=DATA, label="windows of 0.3 s" if k == 0 else None)
+        label = f"windows of {track.length_s:.2g} s" if k == 0 else None
+        frequency.plot(at, track.frequency_hz, ".", ms=4, color=DATA, label=label)
         damping.semilogy(at, np.maximum(track.damping, 1e-4), ".", ms=4, color=DATA)
         modes = model.modes(diagnosis.final.values[None, :], k)
         order = np.argsort(recording.channels[name])
