@@ -11,6 +11,7 @@ import pytest
 from companion.diagnosis.limit_cycles.json_report import as_json
 from companion.diagnosis.limit_cycles.recordings import diagnose_vibration
 from companion.diagnosis.limit_cycles.tracks import RawVibration, track
+from companion.evaluation.pages.flutter_page import flutter_page
 from companion.records import Floats
 
 T_S = np.arange(7500) / 250.0
@@ -76,3 +77,14 @@ def test_a_growth_up_to_a_cycle_is_explained(growth: float) -> None:
     plain = judged(1.0 / np.sqrt(1.0 + 399.0 * np.exp(-2.0 * growth * T_S)), 3)
     assert plain["verdict"] == "explained", plain["reason"]
     assert [cause["name"] for cause in plain["causes"]] == ["quadratic-damping"]
+
+
+def test_the_page_says_what_to_record() -> None:
+    """The terminal and the JSON said so alone."""
+    shown = np.sin(OMEGA * T_S) + 2e-3 * np.random.default_rng(1).standard_normal(len(T_S))
+    raw = RawVibration("run", T_S, {"heave": shown}, None)
+    diagnosis = diagnose_vibration([track(raw, (1.5, 4.5))], 5, lambda _what, _ratio: None)
+    plain = as_json(diagnosis)
+    page = flutter_page(diagnosis, plain, "rig")
+    assert plain["advice"]
+    assert all(f"Record: {line}." in page.replace("&lt;", "<").replace("&gt;", ">") for line in plain["advice"])

@@ -18,6 +18,7 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
     """The page of recordings of one rig; ``plain`` as its JSON has them."""
     body: list[Block] = [
         *[Advice(f"{entry['says']}.") for entry in plain["labels"]],
+        *[Advice(f"Record: {line}.") for line in plain["advice"]],
         Heading("What a linear wing gets wrong"),
         *[Paragraph(f"It has {sentence}.") for sentence in plain["linear_wing"]["wrong"]],
         *causes_table(plain),
