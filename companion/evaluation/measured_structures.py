@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import itertools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
 from companion.diagnosis.channel_defects import CLIPPED, is_clipped
 from companion.diagnosis.forced.equation_rows import ForcedRecording
+from companion.diagnosis.forced.even_recording import row_steps
 from companion.diagnosis.forced.json_report import as_json as forced_json
 from companion.diagnosis.forced.recordings import diagnose_forced
 from companion.diagnosis.forced.response_kind import ResponseKind
@@ -23,6 +27,7 @@ from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decay
 from companion.diagnosis.limit_cycles.json_report import as_json as flutter_json
 from companion.diagnosis.limit_cycles.recordings import diagnose_vibration
 from companion.diagnosis.limit_cycles.tracks import RawVibration, VibrationTrack, track
+from companion.diagnosis.modal_tests.frequency_changes import ORDER
 from companion.diagnosis.modal_tests.json_report import as_json as modal_json
 from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
@@ -44,13 +49,36 @@ _INPUT = "input_"
 _LINEAR = ("mass", "damping", "stiffness")
 _STILL_MPS = 1.0  # chosen: less is an airspeed sensor's zero
 _STEADY = 0.1  # of the mean: more is a sweep, and no airspeed of a recording (choice)
+_GAP_RATIO = 2.5  # chosen: of the usual step: one sample may be lost, two may not
+_GAP_PERIODS = 0.25  # chosen, of the band's top: a line across less is near the vibration
 _BAND_SLACK = 1.01  # chosen: a band may reach half the rate of stamps that wander a little
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
-    """Every file of every path, read through the mapping."""
+    """Every file of every path, read through the mapping.
+
+    Raises
+    ------
+    RecordingError
+        One cannot be read, or has the samples of another one.
+    """
     files = [file for path in paths for file in files_of(Path(path), mapping)]
-    return [read_mapped(file, mapping).increasing().unrounded() for file in files]
+    tables = [read_mapped(file, mapping).increasing().unrounded() for file in files]
+    for first, second in itertools.combinations(tables, 2):
+        if _is_copy(first, second):
+            raise RecordingError(
+                f"{second.path}: has the samples of {first.path}: give each recording once, for a copy makes "
+                "everything surer than it is"
+            )
+    return tables
+
+
+def _is_copy(first: MappedTable, second: MappedTable) -> bool:
+    """Whether two tables have the same samples, and these change."""
+    if first.channels.keys() != second.channels.keys() or len(first.t_s) != len(second.t_s) or not len(first.t_s):
+        return False
+    pairs = [(values, second.channels[name]) for name, values in first.channels.items()]
+    return all(np.array_equal(*pair) for pair in pairs) and any(np.ptp(values) > 0.0 for values, _ in pairs)
 
 
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
@@ -94,7 +122,7 @@ def _free_decay(
 ) -> _Diagnosed:
     band_hz = _band(mapping)
     for table in tables:
-        _checked_rate_hz(table, band_hz, [name for name in _TIPS if name in table.channels])
+        _check_rows(table, band_hz, [name for name in _TIPS if name in table.channels])
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
     if not band_hz[0] < frequency_hz.value < band_hz[1]:
@@ -117,7 +145,8 @@ def _raw_ringing(table: MappedTable) -> RawFreeDecay:
     tips = [table.channels[name] for name in _TIPS if name in table.channels]
     if not tips:
         raise RecordingError(f"{table.path}: the mapping gives no {' or '.join(_TIPS)}: nothing to follow")
-    others = {name: values for name, values in table.channels.items() if name not in _TIPS}
+    constants = {name: np.full(len(table.t_s), value) for name, value in table.constants.items() if name != ORDER}
+    others = constants | {name: values for name, values in table.channels.items() if name not in _TIPS}
     return RawFreeDecay(f"{table.path.parent.name}/{table.path.name}", table.t_s, -np.mean(tips, axis=0), others)
 
 
@@ -125,17 +154,18 @@ def _vibration(
     tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
 ) -> _Diagnosed:
     band_hz = _band(mapping)
-    runs = []
+    runs: list[VibrationRun] = []
+    notes: list[str] = []
     for i, table in enumerate(tables):
         progress("transform the runs", i / len(tables))
-        runs.append(_run(table, band_hz))
+        runs.append(_run(table, band_hz, notes))
     if len({run.frequency_hz.size for run in runs}) > 1:
         raise RecordingError("the runs are of different length or rate: compare runs of one kind")
     progress("fit the modes of every run", 0.0)
-    modes, notes = modes_of_runs(runs)
+    modes, peaks = modes_of_runs(runs)
     diagnosis = diagnose_modal_test(modes, [run.constants for run in runs], progress)
     plain = modal_json(diagnosis, [str(table.path) for table in tables], options.airframe)
-    plain["notes"] += notes
+    plain["notes"] += [*peaks, *notes]
     return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 
@@ -146,10 +176,11 @@ def _limit_cycle(
     names, notes = _responses_of_all(tables)
     for i, table in enumerate(tables):
         progress("follow the vibration", i / len(tables))
-        responses = {name.removeprefix(_RESPONSE): table.channels[name] for name in names}
         try:
             airspeed = _airspeed(table, notes)
-            _checked_rate_hz(table, _band(mapping), names)
+            _check_rows(table, _band(mapping), names)
+            table = _unbroken(table, _band(mapping)[1], notes)
+            responses = {name.removeprefix(_RESPONSE): table.channels[name] for name in names}
             forces = {name: values for name, values in table.channels.items() if name.startswith(_INPUT)}
             raw = RawVibration(table.path.name, table.t_s, responses, airspeed, forces)
             followed = track(raw, _band(mapping))
@@ -168,16 +199,18 @@ def _limit_cycle(
 
 
 def _airspeed(table: MappedTable, notes: list[str]) -> float | None:
-    """Mean airspeed of a file, None where it has none; a change within it is noted.
+    """Mean airspeed of a file, or what the mapping says of it, None where it has none; a change within it is noted.
 
     Raises
     ------
     RecordingError
         It is negative.
     """
-    if _AIRSPEED not in table.channels:
-        return None
-    speed = table.channels[_AIRSPEED]
+    speed = table.channels.get(_AIRSPEED)
+    if speed is None:
+        if _AIRSPEED not in table.constants:
+            return None
+        speed = np.array([table.constants[_AIRSPEED]])
     mean, (low, high) = float(np.mean(speed)), np.percentile(speed, (2.0, 98.0)).tolist()
     if mean < -_STILL_MPS:
         raise RecordingError(f"{table.path.name}: an airspeed of {mean:.1f} m/s is negative: turn its sign or zero")
@@ -186,6 +219,22 @@ def _airspeed(table: MappedTable, notes: list[str]) -> float | None:
             f"{table.path.name}: the airspeed goes from {low:.1f} to {high:.1f} m/s, and counts as {mean:.1f} m/s"
         )
     return max(mean, 0.0)
+
+
+def _unbroken(table: MappedTable, top_hz: float, notes: list[str]) -> MappedTable:
+    """The longest stretch of a file without a gap; a note where that is not all."""
+    step_s = np.diff(table.t_s)
+    wide = np.flatnonzero(step_s > max(_GAP_RATIO * float(np.median(step_s)), _GAP_PERIODS / top_hz))
+    if not wide.size:
+        return table
+    edges = [0, *(wide + 1).tolist(), len(table.t_s)]
+    stretch = slice(*max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0]))
+    t_s = table.t_s[stretch]
+    notes.append(
+        f"{table.path.name}: gaps: {wide.size}; judged is the longest stretch without one, {t_s[-1] - t_s[0]:.1f} s"
+    )
+    channels = {name: values[stretch] for name, values in table.channels.items()}
+    return dataclasses.replace(table, t_s=t_s, channels=channels)
 
 
 def _responses_of_all(tables: Sequence[MappedTable]) -> tuple[list[str], list[str]]:
@@ -210,7 +259,7 @@ def _forced(
         if len(forces) != 1 or len(measured) != 1:
             needed = f"one {_INPUT}<what> and one {_RESPONSE}<what>"
             raise RecordingError(f"{table.path}: a forced oscillator needs {needed}")
-        _checked_rate_hz(table, _band(mapping), [*forces, *measured])
+        _check_rows(table, _band(mapping), [*forces, *measured])
         force, response = table.channels[forces[0]], table.channels[measured[0]]
         kind = ResponseKind.of_channel(measured[0])
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, response, kind))
@@ -221,19 +270,43 @@ def _forced(
 _DIAGNOSED = {"ringing": _free_decay, "vibration": _vibration, "limit-cycle": _limit_cycle, "forced": _forced}
 
 
-def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
+def _run(table: MappedTable, band_hz: tuple[float, float], notes: list[str]) -> VibrationRun:
     names = [name for name in table.channels if name.startswith(_RESPONSE)]
     if _FORCE not in table.channels or not names:
         raise RecordingError(f"{table.path}: a vibration test needs {_FORCE} and {_RESPONSE}<point>_mps2")
-    rate_hz = _checked_rate_hz(table, band_hz, [_FORCE, *names])
+    _check_rows(table, band_hz, [_FORCE, *names])
+    table = _without_losses(table, band_hz[1], notes)
+    rate_hz = (len(table.t_s) - 1) / float(table.t_s[-1] - table.t_s[0])
     accelerations: Floats = np.stack([table.channels[name] for name in names], axis=1)
     f_hz, frf = responses(table.channels[_FORCE], accelerations, rate_hz, band_hz)
     order = table.constants.get("run_order")
     return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, frf, table.constants)
 
 
-def _checked_rate_hz(table: MappedTable, band_hz: tuple[float, float], names: Sequence[str]) -> float:
-    """Rate of the rows.
+def _without_losses(table: MappedTable, top_hz: float, notes: list[str]) -> MappedTable:
+    """A run with the rows that were lost splined, and a note of them: its rows are transformed as even ones.
+
+    Raises
+    ------
+    RecordingError
+        It has a gap that a spline does not bridge.
+    """
+    steps = row_steps(table.t_s, top_hz)
+    if steps.gaps.size:
+        raise RecordingError(
+            f"{table.path}: rows are lost in gaps ({steps.gaps.size}, the longest {steps.longest_s:.3g} s), across "
+            "which a run is not transformed and every frequency would be wrong: record it without losses"
+        )
+    if not steps.splined:
+        return table
+    even_s = np.linspace(table.t_s[0], table.t_s[-1], steps.rows)
+    channels = {name: CubicSpline(table.t_s, values)(even_s) for name, values in table.channels.items()}
+    notes.append(f"{table.path.name}: rows are lost at {steps.splined} places, which splines bridge")
+    return dataclasses.replace(table, t_s=even_s, channels=channels)
+
+
+def _check_rows(table: MappedTable, band_hz: tuple[float, float], names: Sequence[str]) -> None:
+    """Check rows and channels of a file.
 
     Raises
     ------
@@ -242,7 +315,8 @@ def _checked_rate_hz(table: MappedTable, band_hz: tuple[float, float], names: Se
     """
     if len(table.t_s) < 2:
         raise RecordingError(f"{table.path}: has {len(table.t_s)} row of samples, a vibration has many: record longer")
-    rate_hz = (len(table.t_s) - 1) / float(table.t_s[-1] - table.t_s[0])
+    step_s = np.diff(table.t_s)
+    rate_hz = 1.0 / float(np.mean(step_s[step_s <= _GAP_RATIO * np.median(step_s)]))  # whatever pauses there were
     if band_hz[1] > _BAND_SLACK * 0.5 * rate_hz:
         raise RecordingError(
             f"{table.path}: {rate_hz:.4g} rows a second show nothing above {0.5 * rate_hz:.4g} Hz, band_hz reaches "
@@ -251,7 +325,6 @@ def _checked_rate_hz(table: MappedTable, band_hz: tuple[float, float], names: Se
     for name in names:
         if not np.ptp(table.channels[name]) > 0.0:
             raise RecordingError(f"{table.path}: {name} never changes: check its sensor, or take it out of the mapping")
-    return rate_hz
 
 
 def _believed(mapping: TableMapping, airframe: str | None) -> tuple[Uncertain, Uncertain]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -204,3 +205,8 @@ def test_what_was_not_noted_of_every_run_explains_nothing_and_stops_nothing() ->
     ]
     diagnosis = diagnose_modal_test(modes_of_runs(runs)[0], [run.constants for run in runs], lambda _what, _ratio: None)
     assert diagnosis.outcome.verdict is DiagnosisVerdict.UNEXPLAINED
+
+
+def test_runs_of_equal_frequency_have_a_number_for_json() -> None:
+    """It was minus infinity, which JSON has not."""
+    assert math.isfinite(disagreement(np.full(3, 9.2), np.full(3, 0.01)))

@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.adapters.recordings.tables.mapped_table import MappedTable
 from companion.adapters.recordings.tables.mapping import parse_mapping
 from companion.cli.main import main
+from companion.errors import RecordingError
+from companion.evaluation import measured_structures
 from companion.evaluation.measured_structures import tables_of
 from companion.records import Floats
 
@@ -67,3 +70,44 @@ def test_a_belief_outside_the_band_is_refused_with_both(tmp_path: Path, capsys: 
     said = capsys.readouterr().err
     assert "band_hz, 4 to 14 Hz" in said
     assert "frequency_hz, 30 Hz" in said
+
+
+def test_a_copy_of_a_recording_is_refused(tmp_path: Path) -> None:
+    """Twice the same vibration run ended in a traceback, and any other kind was surer of its verdict."""
+    table, mapping = _written(tmp_path, *_knocked())
+    with pytest.raises(RecordingError, match=r"has the samples of .*ring\.csv: give each recording once"):
+        tables_of([table, table], parse_mapping(Path(mapping).read_text(), mapping))
+
+
+def _table(t_s: Floats, **constants: float) -> MappedTable:
+    tone = np.sin(2.0 * np.pi * HZ * t_s)
+    return MappedTable(Path("run.csv"), t_s, {"input_n": tone, "left_z_mps2": tone}, constants)
+
+
+def test_lost_rows_of_a_vibration_run_are_put_back_and_a_gap_is_refused() -> None:
+    """Its rows counted as even: a gap of 1.5 % was a frequency that changed between runs."""
+    notes: list[str] = []
+    t_s = np.arange(4000) / RATE_HZ
+    lost = measured_structures._without_losses(_table(np.delete(t_s, [500, 2000, 2001])), 14.0, notes)
+    np.testing.assert_allclose(lost.t_s, t_s, atol=1e-9)
+    np.testing.assert_allclose(lost.channels["input_n"], _table(t_s).channels["input_n"], atol=1e-3)
+    assert notes == ["run.csv: rows are lost at 2 places, which splines bridge"]
+    with pytest.raises(RecordingError, match=r"the longest 0\.15"):
+        measured_structures._without_losses(_table(np.delete(t_s, range(500, 560))), 14.0, notes)
+
+
+def test_a_pause_is_no_wrong_unit_of_the_time() -> None:
+    """Rows a second were counted over the pause: a decay after it was refused, its time column doubted."""
+    notes: list[str] = []
+    t_s = np.arange(4000) / RATE_HZ
+    paused = _table(np.where(t_s > 7.0, t_s + 1000.0, t_s))
+    measured_structures._check_rows(paused, (4.0, 14.0), ["left_z_mps2"])
+    assert np.ptp(measured_structures._unbroken(paused, 14.0, notes).t_s) == pytest.approx(7.0, abs=0.01)
+    assert notes == ["run.csv: gaps: 1; judged is the longest stretch without one, 7.0 s"]
+
+
+def test_a_decay_may_follow_what_the_mapping_states_for_its_file() -> None:
+    """Values under [[recordings]] were read and left aside; the order of runs is no cause."""
+    raw = measured_structures._raw_ringing(_table(np.arange(100) / RATE_HZ, temperature_degc=21.0, run_order=2.0))
+    assert set(raw.channels) == {"input_n", "temperature_degc"}
+    assert set(raw.channels["temperature_degc"]) == {21.0}

@@ -41,7 +41,7 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats, top_hz: floa
     RecordingError
         Most rows are lost.
     """
-    steps = _steps(t_s, top_hz)
+    steps = row_steps(t_s, top_hz)
     if steps.rows > _MOST_LOST * len(t_s):
         raise RecordingError(
             f"{name}: of {steps.rows} rows at the usual rate {len(t_s)} are there: record without losses"
@@ -65,7 +65,7 @@ def evenly(name: str, t_s: Floats, force: Floats, response: Floats, top_hz: floa
     return EvenRecording(rate_hz, even_force, even_response, lost, tuple(f"{name}: {note}" for note in notes))
 
 
-class _Steps(NamedTuple):
+class RowSteps(NamedTuple):
     """Steps between stamps: rows of the even grid, places that a spline bridges, and steps that are gaps.
 
     ``longest_s`` is the longest gap, ``wander`` how far stamps wander, in usual steps. ``crowded`` says that some
@@ -80,7 +80,8 @@ class _Steps(NamedTuple):
     crowded: bool
 
 
-def _steps(t_s: Floats, top_hz: float) -> _Steps:
+def row_steps(t_s: Floats, top_hz: float) -> RowSteps:
+    """Judge the steps between stamps (n,) of motion up to a frequency."""
     step_s = np.diff(t_s)
     usual_s = float(np.median(step_s))
     ratio, gap = step_s / usual_s, _TWO_LOST if top_hz * usual_s < _SLOW else _ONE_LOST
@@ -89,10 +90,10 @@ def _steps(t_s: Floats, top_hz: float) -> _Steps:
     rows = len(t_s) + int(np.sum(np.rint(ratio[missing]) - 1.0))
     gaps = np.flatnonzero(missing & (ratio > gap))
     splined = int(np.count_nonzero(missing & (ratio <= gap)))
-    return _Steps(rows, splined, gaps, float(step_s[gaps].max(initial=0.0)), wander, bool(ratio.min() < _CROWDED))
+    return RowSteps(rows, splined, gaps, float(step_s[gaps].max(initial=0.0)), wander, bool(ratio.min() < _CROWDED))
 
 
-def _notes(steps: _Steps, wild: Mapping[str, int]) -> list[str]:
+def _notes(steps: RowSteps, wild: Mapping[str, int]) -> list[str]:
     """Stamps that wander, rows that are lost, and how many samples of each channel are wild, in sentences."""
     notes = []
     if steps.wander > _EVEN:

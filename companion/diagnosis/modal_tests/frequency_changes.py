@@ -25,6 +25,7 @@ NOTABLE_CHANGE = 0.002
 ORDER = "run_order"
 _SAME = 0.02  # of a channel's range, within which values count as equal (choice)
 _LOG_SMALLEST = -600.0  # exponents below underflow (numerical)
+_LEAST_Z = -38.0  # numerical: of a tail that differs from 1 by less than a double can
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ def disagreement(values: Floats, sigmas: Floats) -> float:
     deviation = float(np.sum(weight * (values - np.sum(weight * values) / weight.sum()) ** 2))
     tail = float(chi2.logsf(deviation, len(values) - 1))
     if tail > _LOG_SMALLEST:
-        return float(norm.isf(math.exp(tail)))
+        return max(float(norm.isf(math.exp(tail))), _LEAST_Z)
     return math.sqrt(-2.0 * tail) if math.isfinite(tail) else math.sqrt(deviation)
 
 
