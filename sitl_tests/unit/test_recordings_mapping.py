@@ -330,3 +330,41 @@ def test_an_airspeed_that_changes_within_a_file_is_noted_and_a_negative_refused(
 )  # fmt: skip
 def test_a_unit_may_be_written_as_in_print(printed: str, written: str) -> None:
     assert conversion(printed, written) == 1.0
+
+
+NAMED = """
+[columns]
+"t" = { channel = "t_s", unit = "s" }
+"force" = { channel = "input_n", unit = "n" }
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "delimiter", "complaint"),
+    [
+        ("t,force,temp\n1,0.00,5,20\n2,0.01,6,20\n", "comma", "line 2: 4 cells, but the header in line 1 has 3 names"),
+        ("t (s) force (N)\n0.00 5\n0.01 6\n", "space", "line 2: 2 cells, but the header in line 1 has 4 names"),
+    ],
+)
+def test_names_that_are_not_above_their_columns_are_refused(
+    tmp_path: Path, text: str, delimiter: str, complaint: str
+) -> None:
+    """The row number of a table that R wrote was taken for the time, and the time for the force."""
+    mapping = parse_mapping(f'[table]\ndelimiter = "{delimiter}"\n{NAMED}', "lab.toml")
+    with pytest.raises(TableError) as error:
+        read_mapped(table(tmp_path, text), mapping)
+    assert complaint in str(error.value)
+
+
+def test_a_delimiter_between_quotes_ends_no_cell(tmp_path: Path) -> None:
+    """The column after the one that was named was read."""
+    text = 't,"note, by hand",force,load\n0.00,"so, so",5,7\n0.01,,6,8,\n'
+    read = read_mapped(table(tmp_path, text), parse_mapping(NAMED, "lab.toml"))
+    np.testing.assert_array_equal(read.t_s, [0.0, 0.01])
+    np.testing.assert_array_equal(read.channels["input_n"], [5.0, 6.0])
+
+
+def test_an_airspeed_that_the_mapping_states_for_a_file_counts() -> None:
+    """Cycles at stated airspeeds were judged as in still air."""
+    stated = MappedTable(Path("r1.csv"), np.arange(50.0), {}, {"airspeed_mps": 18.0})
+    assert measured_structures._airspeed(stated, []) == 18.0

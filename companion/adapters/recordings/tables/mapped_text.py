@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import math
 import warnings
 from collections.abc import Iterator
@@ -30,7 +32,8 @@ def text_columns(
     places = _places(path, mapping, layout)
     if next(_rows(path, layout), None) is None:
         raise TableError(path, layout.first_line, "no row of numbers is there")
-    values = _loaded(path, layout, list(places.values())) if layout.decimal == "." else None
+    quoted = any('"' in line for _, line in _rows(path, layout))  # a delimiter may stand between quotes
+    values = _loaded(path, layout, list(places.values())) if layout.decimal == "." and not quoted else None
     if values is None or not np.isfinite(values).all():
         values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
     return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(places)}
@@ -56,6 +59,8 @@ def _loaded(path: Path, layout: TextLayout, columns: list[int]) -> Floats | None
 def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, int]:
     """Index of each column of the mapping that is there."""
     header = _header(path, layout)
+    if any(column.name in header for column in mapping.columns):
+        _check_width(path, mapping, layout, header)
     places: dict[str, int] = {}
     for column in mapping.columns:
         index = _numbered(column.name)
@@ -80,6 +85,22 @@ def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, 
     return places
 
 
+def _check_width(path: Path, mapping: TableMapping, layout: TextLayout, header: list[str]) -> None:
+    """Refuse a first row whose cells do not stand below the names: a row's number without one, or names with spaces."""
+    for line, text in itertools.islice(_rows(path, layout), 1):
+        cells = _cells(text, layout)
+        while len(cells) > len(header) and not cells[-1].strip():  # rows may end in delimiters
+            cells.pop()
+        if len(cells) > len(header) or (layout.delimiter is None and len(cells) < len(header)):
+            raise TableError(
+                path,
+                line,
+                f"{len(cells)} cells, but the header in line {layout.header_line} has {len(header)} names, so that a "
+                f"name is not above its column: mend the header, or name columns by number in {mapping.origin}: "
+                "'#1' is the first",
+            )
+
+
 def _numbered(name: str) -> int | None:
     return int(name[1:]) - 1 if name.startswith("#") and name[1:].isdigit() and int(name[1:]) > 0 else None
 
@@ -98,7 +119,14 @@ def _header(path: Path, layout: TextLayout) -> list[str]:
 
 
 def _cells(line: str, layout: TextLayout) -> list[str]:
-    return line.rstrip("\r\n").split(layout.delimiter)
+    """Cells of a line; between double quotes a delimiter is a letter as any other."""
+    text = line.rstrip("\r\n")
+    if layout.delimiter is None or '"' not in text:
+        return text.split(layout.delimiter)
+    try:
+        return next(csv.reader([text], delimiter=layout.delimiter, skipinitialspace=True))
+    except csv.Error:  # a cell longer than any table's
+        return text.split(layout.delimiter)
 
 
 def _rows(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
