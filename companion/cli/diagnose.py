@@ -83,6 +83,7 @@ def _diagnose_flights(
     airframe = airframe_of(options.airframe, options.recordings)
     if options.apply is not None:
         options.apply = options.apply or f"{airframe.name}-extended.toml"
+        check_output(Path(options.apply), "--apply")  # its name may hold a slash, and this folder may take no file
         check_new(Path(options.apply), "--apply")
     paths = sampling_check.paths_of(options.recordings, mapping)
     timings = [sampling_check.timing(path, airframe, mapping) for path in paths]

@@ -15,9 +15,11 @@ from pathlib import Path
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.airframe_check import check_airframe
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
+from companion.cli.terminal.progress import say
 from companion.doctor.clipping import check_clipping
 from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.doctor.examine import Examination, read_log
@@ -26,7 +28,7 @@ from companion.doctor.parameters import check_parameters
 from companion.doctor.ranging import check_ranging
 from companion.doctor.timing import check_clocks, check_filters, check_rates
 from companion.doctor.wing import check_cameras, check_nodes
-from companion.errors import TO_FIX
+from companion.errors import TO_FIX, ConfigError
 from companion.params.files import load_airframe
 from companion.ports import Clock
 
@@ -53,7 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--log", type=Path, metavar="FILE", help="a recording in place of a vehicle")
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--for", type=seconds, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
-    parser.add_argument("--fix", action="store_true", help="offer to set the autopilot's parameters, one by one")
+    parser.add_argument(
+        "--fix", action="store_true", help="with --connect: offer to set the autopilot's parameters, one by one"
+    )
     parser.add_argument("--yes", action="store_true", help="with --fix: do not ask")
     parser.add_argument("--json", action="store_true", help="the findings as JSON")
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="key of a signed link (see run)")
@@ -62,10 +66,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Examine, report, and fix where that is asked for."""
-    airframe, settings = load_airframe(options.airframe), read_settings(options)
+    _check(options)
+    airframe = load_airframe(options.airframe)
+    recording = None if options.log is None else open_recording(options.log, airframe)
+    settings = read_settings(options, None if recording is None else recording.settings)
     check_airframe(airframe, settings)  # an orientation that cannot be would be offered to the autopilot
-    if options.log is not None:
-        return _report(list(diagnose(read_log(options.log, airframe, settings))), as_json=options.json)
+    if recording is not None:
+        return _report(list(diagnose(read_log(recording, airframe, settings))), as_json=options.json)
     clock = MonotonicClock()
     signing = None if options.sign_key is None else load_signing(options.sign_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(options.connect)]
@@ -78,12 +85,21 @@ def execute(options: argparse.Namespace) -> int:
         code = _report(findings, as_json=options.json)
         if options.fix:
             ask = (lambda _: True) if options.yes else _ask
-            left = apply([fix for entry in findings for fix in entry.fixes], examination, clock, ask)
-            by_hand = any(entry.level is FindingLevel.FIX and not entry.fixes for entry in findings)
-            code = TO_FIX if left or by_hand else 0
+            tell = say if options.json else print
+            left = apply([fix for entry in findings for fix in entry.fixes], examination, clock, ask, tell)
+            wrong = [entry for entry in findings if entry.level is FindingLevel.FIX]
+            code = TO_FIX if any(not entry.fixes or set(entry.fixes) & set(left) for entry in wrong) else 0
     finally:
         examination.pilot.close()
     return code
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what would do nothing."""
+    if options.yes and not options.fix:
+        raise ConfigError("--yes is of --fix: give both")
+    if options.log is not None and (options.fix or options.sign_key):
+        raise ConfigError("--fix and --sign-key are of --connect: a log has no autopilot that answers")
 
 
 def diagnose(evidence: Evidence) -> Iterator[Finding]:
@@ -136,7 +152,8 @@ def _set(fix: Fix, examination: Examination, clock: Clock) -> bool:
 
 
 def _ask(fix: Fix) -> bool:
-    return input(f"{fix}? [y/N] ").strip().lower() in ("y", "yes")
+    print(f"{fix}? [y/N] ", end="", file=sys.stderr, flush=True)  # standard output has the findings, maybe as JSON
+    return input().strip().lower() in ("y", "yes")
 
 
 def _report(findings: list[Finding], *, as_json: bool) -> int:

@@ -20,6 +20,7 @@ from companion.calibration.airframe_draft import (
     trim_bend_m,
     trusted_to_m,
 )
+from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
 from companion.params.files import load_airframe, parse_airframe
 from companion.params.plausible import RANGES
@@ -137,6 +138,7 @@ def _check_out(options: argparse.Namespace) -> None:
         raise ConfigError(f"--out {options.out}: an airframe file ends in .toml")
     if options.out.exists() and not options.force:
         raise ConfigError(f"--out {options.out}: is there already; give another name, or --force")
+    check_output(options.out, "--out")  # before a dozen questions are answered for nothing
 
 
 def _measured(options: argparse.Namespace) -> Measured:
@@ -211,7 +213,16 @@ def _choose(text: str, words: tuple[str, ...]) -> str:
 
 
 def _size(options: argparse.Namespace, asks: bool) -> tuple[int, int]:
-    text = options.image or (input(f"image size, pixels [{_IMAGE}]: ").strip() if asks else "") or _IMAGE
+    if options.image or not asks:
+        return _sides_px(options.image or _IMAGE)
+    while True:
+        try:
+            return _sides_px(input(f"image size, pixels [{_IMAGE}]: ").strip() or _IMAGE)
+        except ConfigError as error:
+            print(error, file=sys.stderr)
+
+
+def _sides_px(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{2,5})\s*[xX*,]\s*(\d{2,5})", text)
     if match is None or not all(32 <= int(side) <= 16384 for side in match.groups()):
         raise ConfigError(f"image = '{text}': give width x height from 32 to 16384 px, as in {_IMAGE}")
@@ -220,8 +231,8 @@ def _size(options: argparse.Namespace, asks: bool) -> tuple[int, int]:
 
 def _name(options: argparse.Namespace) -> str:
     name: str = options.name or options.out.stem
-    if re.search(r"[\"\\\x00-\x1f\x7f]", name):
-        raise ConfigError(f"name = {name!r}: no quotes, backslashes or control characters")
+    if re.search(r"[\"\\\x00-\x1f\x7f\ud800-\udfff]", name):
+        raise ConfigError(f"name = {name!r}: no quotes, backslashes, control characters or bytes that are not UTF-8")
     return name
 
 

@@ -12,6 +12,7 @@ from companion.errors import ConfigError
 from companion.params.document import parameters_page
 from companion.params.metadata import apm_pdef_xml
 from companion.params.settings import tunables
+from companion.params.toml import read_text
 
 _PAGE = Path("config/PARAMETERS.md")
 
@@ -49,7 +50,6 @@ def execute(options: argparse.Namespace) -> int:
 def _check() -> None:
     if not _PAGE.is_file():
         raise ConfigError(f"no {_PAGE} here: --check is for a checkout of the sources")
-    present = _PAGE.read_text(encoding="utf-8")
-    if present != parameters_page():
+    if read_text(_PAGE) != parameters_page():
         raise ConfigError(f"{_PAGE} is stale: run 'spanwise params --write' and commit it")
     print(f"{_PAGE} is fresh")

@@ -111,7 +111,7 @@ def execute(options: argparse.Namespace) -> int:
     recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
-    settings = read_settings(options) if options.changes or options.settings else recording.settings
+    settings = read_settings(options, recording.settings)
     counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
     writer: McapWriter | None = None

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Write the page and print its verdict; 3 where nothing was tracked or measured."""
     require_report()
-    out = options.out or options.recording.resolve().with_suffix(".html")
+    out = options.out or _beside(options.recording.resolve())
     check_output(out, "--out", [options.recording])
     check_ending(options.out, "--out", ".html")
     recording = open_given(options)
@@ -37,6 +37,11 @@ def execute(options: argparse.Namespace) -> int:
     said = [*(f"  {reason}" for reason in judged.reasons), *(f"  note: {note.text}" for note in recording.notices)]
     print("\n".join([judged.headline, *said, f"wrote {out}"]))
     return 0 if log.ranges or log.modes else NOTHING_TO_ESTIMATE
+
+
+def _beside(recording: Path) -> Path:
+    """Page of a recording; a folder's name has no ending, and what follows a dot tells it from its neighbours."""
+    return recording.parent / f"{recording.name if recording.is_dir() else recording.stem}.html"
 
 
 def _watched(recording: Recording, *, plain: bool) -> Iterator[Recordable]:

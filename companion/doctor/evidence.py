@@ -15,6 +15,7 @@ from companion.core.tracking.clipping import at_limit
 from companion.core.tracking.streams import channel_ranges
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.params.airframe import Airframe
+from companion.params.persist import decimal32
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
 from companion.records import Axis, ClockName, ClockState, ImuBatch, Station
@@ -86,7 +87,8 @@ class SampleCounts(NamedTuple):
 class Evidence:
     """Everything seen, of a live vehicle or in a log.
 
-    ``live`` is False for a log, where what cannot be seen is unknown rather than wrong. ``beats`` goes by (system,
+    ``live`` is False for a log, where what cannot be seen is unknown rather than wrong; ``onboard`` says that the
+    autopilot wrote it, without messages of other components and at rates of its own. ``beats`` goes by (system,
     component); ``parameters`` are the autopilot's, as far as it sent them. ``rate_hz`` and ``axes`` are samples per
     second as delivered, and the axes that really come. ``range_senders`` counts the DISTANCE_SENSOR messages of others,
     by (system, component, orientation); ``serial_baud`` has the links that have a baud rate, ``link_components`` the
@@ -107,6 +109,7 @@ class Evidence:
     airframe: Airframe
     settings: Settings
     live: bool
+    onboard: bool = False
     seconds: float = 0.0
     system: int | None = None
     beats: dict[tuple[int, int], Beat] = field(default_factory=dict)
@@ -164,7 +167,7 @@ class Evidence:
 
     def parameter(self, *names: str) -> tuple[str, float] | None:
         """The first of these names that the vehicle has with a value that can be; versions differ in names."""
-        sent = ((name, self.parameters[name]) for name in names if name in self.parameters)
+        sent = ((name, decimal32(self.parameters[name])) for name in names if name in self.parameters)
         return next((entry for entry in sent if implausible(*entry) is None), None)
 
     def missing(self, subject: str, what: str) -> Finding:

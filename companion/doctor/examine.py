@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from companion.adapters.mavlink.component.component import OnboardComponent
@@ -17,8 +16,9 @@ from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.link.signing import Signing
 from companion.adapters.mavlink.link.udp import buffer_shortfall
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
+from companion.adapters.recordings.logs.onboard_log import OnboardLog
 from companion.adapters.recordings.logs.tlog import TlogRecording
-from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.recording import Recording
 from companion.core.clock.bank import ClockBank
 from companion.doctor.evidence import Beat, Evidence
 from companion.params.airframe import Airframe
@@ -177,7 +177,7 @@ def note(evidence: Evidence, heard: Heard, system: int | None) -> None:
         evidence.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
 
 
-def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
+def read_log(recording: Recording, airframe: Airframe, settings: Settings) -> Evidence:
     """The evidence of a recording: ours, a tlog, a .BIN or a ULog.
 
     Raises
@@ -185,8 +185,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     RecordingError
         It cannot be read.
     """
-    recording = open_recording(path, airframe)
-    evidence = Evidence(airframe, settings, live=False)
+    evidence = Evidence(airframe, settings, live=False, onboard=isinstance(recording, OnboardLog))
     decoder = Decoder(airframe, settings.component_id, settings.system_id)
     spans: dict[Station, _Span] = {}
     raw = isinstance(recording, TlogRecording)

@@ -132,7 +132,7 @@ def _other_senders(evidence: Evidence) -> Iterator[Finding]:
             continue
         text = f"{system}/{component} also sends DISTANCE_SENSOR of orientation {ours} ({count} heard): turn one off"
         yield Finding.fix("range", text)
-    for number in _NUMBERS:
+    for number in sorted(set(_NUMBERS) - {_our_rangefinder(evidence)}):
         kind = evidence.parameter(f"RNGFND{number}_TYPE")
         rival = kind is not None and kind[1] not in (0.0, _MAVLINK_RANGEFINDER)
         if rival and _looks_where_we_do(evidence, number):

@@ -11,7 +11,8 @@ import numpy as np
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.vehicle.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
 from companion.core.wing.lowpass import Butterworth2
-from companion.doctor.evidence import Evidence, Finding, Fix
+from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5  # chosen: a filter's cut-off over the mode's frequency: nearer ones turn and damp it
@@ -61,13 +62,15 @@ def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, 
     what = f"{station.name.lower()} {message} at {rate_hz:.0f} Hz"
     if not rate_hz:
         text = f"{station.name.lower()}: no {message} arrives"
-        if message == "HIGHRES_IMU":
+        if message == "HIGHRES_IMU" and evidence.live and not evidence.px4:
             text += "; boards with 1 MB of flash do not have it: map RAW_IMU in the airframe file"
         return Finding.fix("rate", text)
     mode = f"the {evidence.highest_hz:.1f} Hz mode"
     if rate_hz >= needed_hz:
         return Finding.ok("rate", f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}")
     text = f"{what} is too slow for {mode}, which needs {needed_hz:.0f} Hz"
+    if evidence.onboard:  # logged at a rate of its own (LOG_BITMASK, SDLOG_PROFILE), whatever goes out as messages
+        return Finding("rate", FindingLevel.UNKNOWN, f"{text}, as it was logged; over a link it may come faster")
     return Finding.fix("rate", text if fixes else text + ": raise the baud rate of this link", *fixes)
 
 
@@ -86,12 +89,12 @@ def check_filters(evidence: Evidence) -> Iterator[Finding]:
         if cutoff_hz <= 0:
             yield Finding.ok("filter", f"{name} is off")
             continue
-        wanted_hz = 5.0 * math.ceil(4.0 * evidence.highest_hz / 5.0)
+        wanted_hz = min(max(5.0 * math.ceil(4.0 * evidence.highest_hz / 5.0), 20.0), VEHICLE_PARAMETERS[name].high)
         gain, phase_deg = _butterworth(evidence.highest_hz / cutoff_hz)
         mode = f"{evidence.highest_hz:.1f} Hz mode"
         text = f"{name} {cutoff_hz:g} Hz turns the {mode} by {phase_deg:.0f} deg, gain {gain:.2f}"
-        if cutoff_hz < _FILTER_RATIO * evidence.highest_hz:
-            yield Finding.fix("filter", text + ": raise it", Fix(name, max(wanted_hz, 20.0)))
+        if cutoff_hz < min(_FILTER_RATIO * evidence.highest_hz, wanted_hz):
+            yield Finding.fix("filter", text + ": raise it", Fix(name, wanted_hz))
         else:
             yield Finding.ok("filter", text + f", which is undone ({axis})")
     for notch in ("HNTCH", "HNTC2"):

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
-from companion.doctor.evidence import Evidence, Finding, Fix
+from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, UNANSWERED
-from companion.params.airframe import Sensor, Source
+from companion.params.airframe import Sensor
 from companion.records import Axis, Station
 
 _NONE = "no wingtip is measured: there is nothing to correct ranges with; only 'alive, no range' goes out"
@@ -28,11 +28,14 @@ _SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (
 
 def check_nodes(evidence: Evidence) -> Iterator[Finding]:
     """Both wingtips: alive, fast enough, all axes, enough bandwidth."""
-    alive = [side for side in (Station.LEFT, Station.RIGHT) if evidence.rate_hz.get(side)]
-    for side in (Station.LEFT, Station.RIGHT):
+    sides = (Station.LEFT, Station.RIGHT)
+    alive = [side for side in sides if evidence.rate_hz.get(side)]
+    for side in sides:
         yield from _node(evidence, side)
     if len(alive) == 2:
         yield Finding.ok("wing", _accuracy(evidence))
+    elif any(_is_beyond(evidence, side) for side in sides):
+        return
     elif alive:
         text = (
             f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
@@ -45,13 +48,18 @@ def check_nodes(evidence: Evidence) -> Iterator[Finding]:
     yield from _losses(evidence)
 
 
+def _is_beyond(evidence: Evidence, side: Station) -> bool:
+    """Whether a log cannot hold that side: an autopilot's own has the samples of its own sensors alone."""
+    return evidence.onboard and evidence.airframe.sensor(side).source.component != AUTOPILOT_COMPONENT
+
+
 def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
     sensor = evidence.airframe.sensor(side)
     source, rate_hz, name = sensor.source, evidence.rate_hz.get(side, 0.0), side.name.lower()
     wired = source.component == AUTOPILOT_COMPONENT
     if not rate_hz:
         if not wired:
-            yield _silent(evidence, source, name)
+            yield _silent(evidence, side)
         return
     missing = (sensor.axes & ~evidence.axes[side]).letters
     if missing:
@@ -65,7 +73,11 @@ def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
             yield Finding.ok("wing", text)
 
 
-def _silent(evidence: Evidence, source: Source, name: str) -> Finding:
+def _silent(evidence: Evidence, side: Station) -> Finding:
+    source, name = evidence.airframe.sensor(side).source, side.name.lower()
+    if _is_beyond(evidence, side):
+        text = f"{name}: component {source.component} is not in an autopilot's own log"
+        return Finding("wing", FindingLevel.UNKNOWN, text)
     beats = (evidence.system, source.component) in evidence.beats
     text = f"{name}: component {source.component} {f'beats but sends no {source.message}' if beats else 'is silent'}"
     others = [what for what in evidence.foreign_imu if what.startswith(source.message)]

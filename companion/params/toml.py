@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from companion.errors import ConfigError
 
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")  # letters that stand in no TOML text as they are (TOML 1.0)
 LARGEST = 1e300  # far below the largest float, so that squares do not overflow (numerical)
 
 
@@ -35,8 +37,10 @@ def settings_of(table: dict[str, Any], origin: str) -> dict[str, float]:
 
 
 def quoted(text: str) -> str:
-    """A text as TOML writes it."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+    r"""A text as TOML writes it; of bytes that are not UTF-8, which no TOML holds, their spelling (``\udcff``)."""
+    legible = text.encode("utf-8", "backslashreplace").decode("utf-8")
+    escaped = legible.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return '"' + _CONTROL.sub(lambda letter: f"\\u{ord(letter[0]):04x}", escaped) + '"'
 
 
 def parse_toml(text: str, origin: str) -> dict[str, Any]:

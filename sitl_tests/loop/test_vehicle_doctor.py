@@ -9,7 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.link import Link
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli import doctor
 from companion.cli.doctor import apply, diagnose
 from companion.doctor.evidence import Beat, Evidence, Finding, FindingLevel, Fix
@@ -293,9 +295,7 @@ def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_
 
 
 @pytest.mark.parametrize("begins_s", [(0.0,), (0.0, 1.0), (7.0, 0.2), (7.0, 0.2, 0.1)])
-def test_the_rate_of_a_log_is_that_between_restarts_of_the_clock(
-    begins_s: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_rate_of_a_log_is_that_between_restarts_of_the_clock(begins_s: tuple[float, ...]) -> None:
     """A station whose clock began anew, and did not reach its first stamp again, was silent."""
     values = np.tile([0.0, 0.0, -9.8, 0.0, 0.0, 0.0], (250, 1))
     stamps = [round(begin_s * 1e9) + MS * np.arange(1000, dtype=np.int64) for begin_s in begins_s]
@@ -305,8 +305,7 @@ def test_the_rate_of_a_log_is_that_between_restarts_of_the_clock(
         for part_ns in np.split(t_ns, 4)
     ]
     recording = argparse.Namespace(records=lambda: iter(batches))
-    monkeypatch.setattr("companion.doctor.examine.open_recording", lambda _path, _airframe: recording)
-    evidence = read_log(Path("log.BIN"), AIRFRAME, Settings())
+    evidence = read_log(cast("Recording", recording), AIRFRAME, Settings())
     assert evidence.rate_hz == pytest.approx({Station.LEFT: 1000.0})
 
 
@@ -528,7 +527,7 @@ def test_a_recording_of_ours_tells_rates_clocks_and_pairs(tmp_path: Path) -> Non
     service = SimulatedService(build_flight(AIRFRAME, 4, 8.0), recording=path)
     service.fly(6.0)
     service.close()
-    evidence = read_log(path, AIRFRAME, Settings())
+    evidence = read_log(open_recording(path, AIRFRAME), AIRFRAME, Settings())
     said = texts(evidence, doctor.check_clocks) + texts(evidence, doctor.check_cameras)
     assert said.count("known to") == 3
     assert evidence.shots >= evidence.pairs > 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import dump_airframe, load_airframe
 from companion.params.settings import Settings
-from companion.records import ClockName
+from companion.records import ClockName, Record, Tick
 
 AIRFRAMES = Path(__file__).resolve().parents[2] / "config" / "airframes"
 
@@ -168,6 +169,16 @@ def test_an_effect_of_a_size_that_nothing_has_is_refused(tmp_path: Path, capsys:
     assert main([*command, "clock-skew=0.01"]) == 0
 
 
+def test_a_page_of_settings_that_is_no_text_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "PARAMETERS.md").write_bytes(b"\xff\xfe")
+    monkeypatch.chdir(tmp_path)
+    assert main(["params", "--check"]) == 1
+    assert "PARAMETERS.md: is not text in UTF-8" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -310,6 +321,39 @@ def test_a_file_of_another_flight_is_not_replaced(
     assert main([command[0], str(recording), *command[1:], str(other)]) == 1
     assert "exists already, and would be lost" in capsys.readouterr().err
     assert other.read_text() == "as it was"
+
+
+def test_an_airframe_that_no_file_can_be_named_after_is_told_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "accel.csv").write_text("t_s,left_z_mps2\n0.0,-9.8\n0.1,-9.8\n")
+    wing = tmp_path / "wing.toml"
+    wing.write_text((AIRFRAMES / "nadir-2m.toml").read_text().replace('name = "', 'name = "no-such/', 1))
+    assert main(["diagnose", str(tmp_path), "--airframe", str(wing), "--apply"]) == 1
+    assert "no folder no-such" in capsys.readouterr().err
+
+
+def test_one_changed_setting_leaves_the_others_as_they_were_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They fell back to the defaults: a replay with one change was of another flight altogether."""
+    path, replayed = tmp_path / "flight.mcap", list[Settings]()
+    flown = Settings(smoother_lag_s=0.3, max_range_m=80.0)
+    writer = McapWriter(path, About.of(load_airframe("nadir-2m"), flown, ClockName.HOST))
+    writer.write(Tick(1))
+    writer.close()
+
+    def replay(_: object, settings: Settings, *__: object) -> Iterator[Record]:
+        replayed.append(settings)
+        return iter(())
+
+    monkeypatch.setattr("companion.cli.replay._replayed", replay)
+    file = tmp_path / "settings.toml"
+    file.write_text("RNG_MIN = 5\n")
+    for words in ([], ["--set", "RNG_MIN=5"], ["--settings", str(file)]):
+        main(["replay", str(path), *words])
+    changed = flown.replace("RNG_MIN", 5.0)
+    assert replayed == [flown, changed, Settings().replace("RNG_MIN", 5.0)]
 
 
 def test_a_replay_that_cannot_begin_leaves_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -307,6 +307,17 @@ def test_the_page_of_the_folder_that_one_stands_in_lies_beside_it(
     assert (tmp_path / "lab.html").is_file()
 
 
+def test_folders_whose_names_differ_behind_a_dot_have_pages_of_their_own(tmp_path: Path) -> None:
+    """Each took the page of the other."""
+    for name in ("run.1", "run.2"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "accel.csv").write_text(
+            "t_s,left_z_mps2\n" + "".join(f"{0.002 * i},-9.8\n" for i in range(200))
+        )
+        assert main(["report", str(tmp_path / name), "--airframe", "nadir-2m"]) == 3
+    assert sorted(path.name for path in tmp_path.glob("*.html")) == ["run.1.html", "run.2.html"]
+
+
 @pytest.mark.slow
 def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_path: Path) -> None:
     path = tmp_path / "short.mcap"

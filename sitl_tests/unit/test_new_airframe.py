@@ -197,6 +197,7 @@ def test_any_plausible_answers_give_a_file_that_loads_and_that_the_service_start
         ({"--frequency-sigma-hz": "4"}, "frequency_sigma_hz = 4 Hz is more than half"),
         ({"--frequency-hz": "0.5"}, "more than 30 % of semispan_m"),
         ({"--name": 'a"b'}, "no quotes"),
+        ({"--name": "a\udcff"}, "bytes that are not UTF-8"),
     ],
 )
 def test_what_no_aircraft_is_is_refused_with_key_value_and_range(
@@ -225,7 +226,37 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
 
 def test_a_folder_that_is_not_there_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command(tmp_path / "none" / "mine.toml")) == 1
-    assert "cannot write" in capsys.readouterr().err
+    assert f"no folder {tmp_path / 'none'}" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_told_before_anything_is_asked(
+    terminal: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert terminal == []
+    assert main(["new-airframe", f"--out={tmp_path / 'none' / 'mine.toml'}"]) == 1
+    assert "no folder" in capsys.readouterr().err
+
+
+def test_a_file_named_by_bytes_that_are_no_text_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "w\udcff.toml"
+    assert main(command(out)) == 1
+    assert "bytes that are not UTF-8" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(command(out, {"--name": "wing"})) == 0
+
+
+def test_an_image_size_that_is_none_is_asked_again(
+    terminal: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended the command, and a dozen answers were lost."""
+    terminal += ["", *[""] * 7, "big", "640x400", "", ""]
+    out = tmp_path / "mine.toml"
+    words = [word for word in command(out) if not word.startswith("--image")]
+    assert main(words) == 0
+    assert "image = 'big': give width x height" in capsys.readouterr().err
+    assert load_airframe(str(out)).camera_pair[0].width_px == 640
 
 
 def test_at_a_terminal_it_asks_and_asks_again(

@@ -16,6 +16,7 @@ from companion.errors import TableError
 from companion.params import airframe as schema
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import dump_airframe, load_airframe, parse_airframe, shipped_airframes
+from companion.params.toml import parse_toml, quoted
 from companion.records import Station
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -36,6 +37,17 @@ def test_all_of_them_travel_with_the_package() -> None:
 def test_it_comes_back_from_toml_equal_and_can_be_mapped(airframe: Airframe) -> None:
     assert parse_airframe(dump_airframe(airframe), "copy") == airframe
     assert len(build_mapping(airframe).sources) == 3
+
+
+@pytest.mark.parametrize("text", ["\x07", "a\r\nb", "\x7f", "\t", "\x00", 'a"b\\\n', "é"])
+def test_any_text_that_a_file_may_hold_comes_back(text: str) -> None:
+    """A recording by an airframe with a control character in its description could not be read again."""
+    described = dataclasses.replace(load_airframe("nadir-2m"), description=text)
+    assert parse_airframe(dump_airframe(described), "copy") == described
+
+
+def test_bytes_that_are_no_text_are_spelled() -> None:
+    assert parse_toml(f"path = {quoted('serial:a' + chr(0xDCFF))}", "copy") == {"path": "serial:a\\udcff"}
 
 
 def test_left_and_right_are_mirror_images(airframe: Airframe) -> None:

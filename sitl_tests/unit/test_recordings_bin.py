@@ -103,13 +103,13 @@ def test_every_parameter_that_the_doctor_judges_is_read(tmp_path: Path) -> None:
     for row in VEHICLE_PARAMETERS.values():
         log.add("PARM", 600, row.name.encode(), row.high, row.high)
     path = write(tmp_path, log.data)
-    evidence = read_log(path, AIRFRAME, Settings())
+    evidence = read_log(open_recording(path, AIRFRAME), AIRFRAME, Settings())
     assert evidence.parameters == pytest.approx({name: row.high for name, row in VEHICLE_PARAMETERS.items()})
     log.add("PARM", 700, b"RNGFND2_TYPE", 20.0, 20.0)
     log.add("PARM", 700, b"RNGFND2_ORIENT", 25.0, 25.0)
     downward = load_airframe("nadir-2m")
     assert downward.orientation == 25
-    rival = read_log(write(tmp_path, log.data), downward, Settings())
+    rival = read_log(open_recording(write(tmp_path, log.data), downward), downward, Settings())
     rival.parameters.pop("IMU_ACCEL_CUTOFF")  # PX4's
     assert any("RNGFND2 looks to 25 too" in finding.text for finding in check_ranging(rival))
 

@@ -42,11 +42,17 @@ def open_given(options: argparse.Namespace) -> Recording:
     return open_recording(options.recording, load_airframe(options.airframe) if options.airframe else None)
 
 
-def read_settings(options: argparse.Namespace) -> Settings:
-    """The settings in force: defaults, the file, what a ground station has set, the command line; the last one wins."""
-    settings = Settings().with_values(_from_file(options.settings))
+def read_settings(options: argparse.Namespace, flown: Settings | None = None) -> Settings:
+    """The settings in force: defaults, the file, what a ground station has set, the command line; the last one wins.
+
+    With a recording, the settings ``flown`` stand in the place of the defaults, unless a file is given.
+    """
+    if flown is not None and options.settings is None and not options.changes:
+        return flown  # whatever an earlier version took
+    base = Settings() if flown is None or options.settings is not None else flown
+    settings = base.with_values(_from_file(options.settings))
     clash = settings.conflict()
-    if clash is not None:
+    if clash is not None and options.settings is not None:
         raise ConfigError(f"{options.settings}: {clash.text}")
     settings = _stored(getattr(options, "parameters", None), settings)
     for change in options.changes:
