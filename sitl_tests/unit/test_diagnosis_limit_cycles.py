@@ -355,7 +355,7 @@ def test_constant_cycles_without_noise_are_judged(
         't = { channel = "t_s", unit = "s" }\nheave = { channel = "response_heave" }\n'
     )
     for k, amplitude in enumerate(amplitudes):
-        table = np.stack([t_s, amplitude * np.sin(15.0 * t_s)], 1)
+        table = np.stack([t_s, amplitude * np.sin(15.0 * t_s + k)], 1)  # no copies: those are refused
         np.savetxt(tmp_path / f"run{k}.csv", table, "%.15g", ",", header="t,heave", comments="")
     assert main(["diagnose", str(tmp_path), "--mapping", str(tmp_path / "rig.toml")]) == 0
     out = capsys.readouterr().out
