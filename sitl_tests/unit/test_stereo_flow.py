@@ -149,6 +149,13 @@ def test_perfect_flow_leaves_nothing() -> None:
     assert np.abs(answer.residual_rad).max() < 1e-9
 
 
+def test_cameras_that_have_flown_on_since_their_pose_leave_nothing() -> None:
+    """Depths from the pose's place were off by the way flown, and the toe ahead by more than its sigma."""
+    view, flown_m, level = _view(), np.array([0.06, 0.01, 0.3]), (np.zeros(3), np.zeros(PAIR_TERMS))
+    rays = dataclasses.replace(view.rays, left_m=view.rays.left_m + flown_m, right_m=view.rays.right_m + flown_m)
+    assert np.abs(dataclasses.replace(view, rays=rays).innovation(*level).residual_rad).max() < 1e-9
+
+
 def test_what_is_known_of_velocity_and_turn_is_in_the_prediction() -> None:
     """A path told with 3 degrees of wrong heading, a turn told with a wrong bias: both known, nothing is left."""
     view, off_mps, off_rad = _view(), np.array([0.2, 1.1, -0.1]), np.array([4e-4, -2e-4, 3e-4])

@@ -306,8 +306,9 @@ class FlowView:
         """
         stacked = Rays.stacked([self._turned(rays, *state) for state in states])
         look = self.later_pose.camera_from_body[2] @ self._half_turn(states[0][0])
-        # tangents across the axis are not needed; one camera sees all features
-        sight = RangeAxis(self.later_pose.position_body_m, look, np.zeros((2, 3)))
+        # Tangents across the axis are not needed. The camera has flown on since the pose's instant (6 cm at 20 m/s).
+        start_m = rays.left_m[0] if len(rays.left_m) else self.later_pose.position_body_m
+        sight = RangeAxis(start_m, look, np.zeros((2, 3)))
         depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(states)))
         return depths.inverse_pm, depths.sigma_pm
 
