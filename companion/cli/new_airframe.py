@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from companion.calibration.airframe_draft import (
     Measured,
@@ -26,6 +26,7 @@ from companion.params.files import load_airframe, parse_airframe
 from companion.params.plausible import RANGES
 
 Answers = dict[str, Any]
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,12 +195,17 @@ def _number(entry: Question, text: str | None, answers: Answers, terminal: bool,
     if not terminal:
         raise ConfigError(f"give {_option(entry.key)} ({entry.text}, {entry.unit}); there is no terminal to ask at")
     shown = "" if suggestion is None else f" [{suggestion:g}]"
+    return _ask(
+        f"{entry.text}, {entry.unit}{shown}: ",
+        lambda answer: suggestion if not answer and suggestion is not None else entry.checked(answer),
+    )
+
+
+def _ask(prompt: str, checked: Callable[[str], _T]) -> _T:
+    """The first answer that passes the check; each other one is refused in a sentence."""
     while True:
-        text = input(f"{entry.text}, {entry.unit}{shown}: ").strip()
-        if not text and suggestion is not None:
-            return suggestion
         try:
-            return entry.checked(text)
+            return checked(input(prompt).strip())
         except ConfigError as error:
             print(error, file=sys.stderr)
 
@@ -215,11 +221,7 @@ def _choose(text: str, words: tuple[str, ...]) -> str:
 def _size(options: argparse.Namespace, asks: bool) -> tuple[int, int]:
     if options.image or not asks:
         return _sides_px(options.image or _IMAGE)
-    while True:
-        try:
-            return _sides_px(input(f"image size, pixels [{_IMAGE}]: ").strip() or _IMAGE)
-        except ConfigError as error:
-            print(error, file=sys.stderr)
+    return _ask(f"image size, pixels [{_IMAGE}]: ", lambda answer: _sides_px(answer or _IMAGE))
 
 
 def _sides_px(text: str) -> tuple[int, int]:

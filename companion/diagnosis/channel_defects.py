@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.signal import medfilt
 
@@ -43,3 +45,10 @@ def wild_samples(values: Floats) -> Bools:
     usual = np.maximum(medfilt(step, around), float(np.median(step)))  # a vibration may be calm most of the time
     wild = np.asarray(distance > _SPIKY * usual)
     return wild if np.count_nonzero(wild) <= _MOST_WILD * len(values) else np.zeros_like(wild)
+
+
+def unbroken(t_s: Floats, widest_s: float) -> tuple[slice, int]:
+    """The longest stretch of stamps (n,) without a wider step, and how many wider ones there are."""
+    wide = np.flatnonzero(np.diff(t_s) > widest_s)
+    edges = [0, *(wide + 1).tolist(), len(t_s)]
+    return slice(*max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])), wide.size

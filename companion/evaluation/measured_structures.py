@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
-from companion.diagnosis.channel_defects import CLIPPED, is_clipped
+from companion.diagnosis.channel_defects import CLIPPED, is_clipped, unbroken
 from companion.diagnosis.forced.equation_rows import ForcedRecording
 from companion.diagnosis.forced.even_recording import row_steps
 from companion.diagnosis.forced.json_report import as_json as forced_json
@@ -223,15 +223,13 @@ def _airspeed(table: MappedTable, notes: list[str]) -> float | None:
 
 def _unbroken(table: MappedTable, top_hz: float, notes: list[str]) -> MappedTable:
     """The longest stretch of a file without a gap; a note where that is not all."""
-    step_s = np.diff(table.t_s)
-    wide = np.flatnonzero(step_s > max(_GAP_RATIO * float(np.median(step_s)), _GAP_PERIODS / top_hz))
-    if not wide.size:
+    usual_s = float(np.median(np.diff(table.t_s)))
+    stretch, gaps = unbroken(table.t_s, max(_GAP_RATIO * usual_s, _GAP_PERIODS / top_hz))
+    if not gaps:
         return table
-    edges = [0, *(wide + 1).tolist(), len(table.t_s)]
-    stretch = slice(*max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0]))
     t_s = table.t_s[stretch]
     notes.append(
-        f"{table.path.name}: gaps: {wide.size}; judged is the longest stretch without one, {t_s[-1] - t_s[0]:.1f} s"
+        f"{table.path.name}: gaps: {gaps}; judged is the longest stretch without one, {t_s[-1] - t_s[0]:.1f} s"
     )
     channels = {name: values[stretch] for name, values in table.channels.items()}
     return dataclasses.replace(table, t_s=t_s, channels=channels)

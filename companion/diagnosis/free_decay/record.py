@@ -11,7 +11,6 @@ white noise white. Nothing is taken away below the band: the filter follows the 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from companion.diagnosis.channel_defects import unbroken
 from companion.errors import RecordingError
 from companion.records import Bools, Complexes, Floats, Ints
 
@@ -138,22 +138,17 @@ def _vibrates(raw: RawFreeDecay, name: str, band_hz: tuple[float, float]) -> boo
 
 def _longest(raw: RawFreeDecay) -> tuple[RawFreeDecay, tuple[str, ...]]:
     """The longest stretch without a gap, and a note where that is not all."""
-    steps = np.diff(raw.t_s)
-    wide = np.flatnonzero(steps > _GAP_RATIO * np.median(steps))
-    edges = [0, *(wide + 1).tolist(), len(raw.t_s)]
-    first, last = max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])
-    length_s = float(raw.t_s[last - 1] - raw.t_s[first])
+    segment, gaps = unbroken(raw.t_s, _GAP_RATIO * float(np.median(np.diff(raw.t_s))))
+    t_s = raw.t_s[segment]
+    length_s = float(t_s[-1] - t_s[0])
     if length_s < _LEAST_S:
         raise RecordingError(
             f"{raw.name}: the longest stretch without a gap is {length_s:.1f} s; {_LEAST_S:g} s needed"
         )
-    segment = slice(first, last)
-    longest = RawFreeDecay(
-        raw.name, raw.t_s[segment], raw.up_mps2[segment], {k: v[segment] for k, v in raw.channels.items()}
-    )
-    if not wide.size:
+    longest = RawFreeDecay(raw.name, t_s, raw.up_mps2[segment], {k: v[segment] for k, v in raw.channels.items()})
+    if not gaps:
         return longest, ()
-    note = f"{raw.name}: {wide.size} gaps; judged is the longest stretch without one, {length_s:.1f} s"
+    note = f"{raw.name}: {gaps} gaps; judged is the longest stretch without one, {length_s:.1f} s"
     return longest, (note,)
 
 

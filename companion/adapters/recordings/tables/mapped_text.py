@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import math
 import warnings
 from collections.abc import Iterator
@@ -32,8 +31,7 @@ def text_columns(
     places = _places(path, mapping, layout)
     if next(_rows(path, layout), None) is None:
         raise TableError(path, layout.first_line, "no row of numbers is there")
-    quoted = any('"' in line for _, line in _rows(path, layout))  # a delimiter may stand between quotes
-    values = _loaded(path, layout, list(places.values())) if layout.decimal == "." and not quoted else None
+    values = _loaded(path, layout, list(places.values())) if layout.decimal == "." else None
     if values is None or not np.isfinite(values).all():
         values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
     return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(places)}
@@ -51,6 +49,7 @@ def _loaded(path: Path, layout: TextLayout, columns: list[int]) -> Floats | None
                 usecols=columns,
                 ndmin=2,
                 encoding="utf-8-sig",
+                quotechar=None if layout.delimiter is None else '"',
             )
     except (ValueError, IndexError, UnicodeDecodeError):
         return None
@@ -87,18 +86,18 @@ def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, 
 
 def _check_width(path: Path, mapping: TableMapping, layout: TextLayout, header: list[str]) -> None:
     """Refuse a first row whose cells do not stand below the names: a row's number without one, or names with spaces."""
-    for line, text in itertools.islice(_rows(path, layout), 1):
-        cells = _cells(text, layout)
-        while len(cells) > len(header) and not cells[-1].strip():  # rows may end in delimiters
-            cells.pop()
-        if len(cells) > len(header) or (layout.delimiter is None and len(cells) < len(header)):
-            raise TableError(
-                path,
-                line,
-                f"{len(cells)} cells, but the header in line {layout.header_line} has {len(header)} names, so that a "
-                f"name is not above its column: mend the header, or name columns by number in {mapping.origin}: "
-                "'#1' is the first",
-            )
+    line, text = next(_rows(path, layout), (layout.first_line, ""))
+    cells = _cells(text, layout)
+    while len(cells) > len(header) and not cells[-1].strip():  # rows may end in delimiters
+        cells.pop()
+    if text and (len(cells) > len(header) or (layout.delimiter is None and len(cells) < len(header))):
+        raise TableError(
+            path,
+            line,
+            f"{len(cells)} cells, but the header in line {layout.header_line} has {len(header)} names, so that a "
+            f"name is not above its column: mend the header, or name columns by number in {mapping.origin}: "
+            "'#1' is the first",
+        )
 
 
 def _numbered(name: str) -> int | None:
