@@ -121,6 +121,19 @@ def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:
     assert estimate.used < 125
 
 
+@pytest.mark.parametrize("outliers", [0.05, 0.25])
+def test_the_sigma_of_a_rotation_is_right_beside_gross_outliers(rig: Rig, outliers: float) -> None:
+    """Squares of pitch and roll over their sigmas: mean 1, standard deviation sqrt(2 / (2 n)) in n pairs."""
+    n, squares, exact = 300, [], ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES)
+    for seed in range(n):
+        rays, random = _rays(rig, np.zeros(3), seed), np.random.default_rng(9000 + seed)
+        spoiled = rays.right.copy()
+        spoiled[:, :2] += (random.random((150, 1)) < outliers) * random.normal(0.0, 30 * NOISE_RAD, (150, 2))
+        update = _update(rig, Rays(rays.left_m, rays.left, rays.right_m, spoiled), exact)
+        squares += (update.slow_rad[[0, 2]] ** 2 / np.diag(update.slow_covariance)[[0, 2]]).tolist()
+    assert np.mean(squares) == pytest.approx(1.0, abs=4.0 / np.sqrt(n))
+
+
 def test_slow_and_fast_part_are_told_apart_by_time(rig: Rig) -> None:
     """A constant 3 mrad under a fast part that is known to 0.5 mrad only: 100 pairs find the constant."""
     random, tracker = (

@@ -113,7 +113,7 @@ def maximum_a_posteriori(
         design[:, 3:PARALLAX_STATES], design[:, SHIFT] = columns[:, 3:], columns[:, BASELINE]
         # the first scale contains the rotation itself; as its residual shrinks, outliers stand out
         unit = residual_rad / sigma_rad
-        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
+        scale = _scale(unit)
         unit = unit / scale
         weight = (_STUDENT_DOF + 1.0) / (_STUDENT_DOF + unit**2)
         weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
@@ -244,7 +244,7 @@ def _solved_flow(answer: Posterior, flow: FlowInnovation, conditions: FlowCondit
     change, covariance = np.zeros(len(prior)), prior
     for _ in range(_FLOW_ROUNDS):
         residual = normalised - design @ change
-        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
+        scale = _scale(residual)
         weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (residual / scale) ** 2), 1.0) / scale**2
         # The error of a wrong feature is in rows and residual alike, which biases toe and velocity the same way in
         # every pair. So it has no weight, neither along its path nor across it.
@@ -254,6 +254,16 @@ def _solved_flow(answer: Posterior, flow: FlowInnovation, conditions: FlowCondit
         covariance = root @ np.linalg.solve(information, root.T)
         change = covariance @ (design.T @ (weight * normalised))
     return change, covariance
+
+
+def _scale(normalised: Floats) -> float:
+    """Scale of residuals (n,) in their stated sigmas, at least 1: the rms of those that are no outliers.
+
+    Outliers raise the median by the share that they are of all, so it only tells them from the others.
+    """
+    size = np.abs(normalised)
+    sound = size[size <= _OUTLIER_SIGMAS * MAD_TO_SIGMA * float(np.median(size))]
+    return max(float(np.sqrt(np.mean(sound**2))), 1.0)
 
 
 def _inverse(matrix: Floats) -> Floats:
