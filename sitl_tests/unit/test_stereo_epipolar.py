@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.stereo.consistency_gate import KNOCK_RAD
+from companion.core.stereo.consistency_gate import KNOCK_RAD, MatchVerdict
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame, parallax
-from companion.core.stereo.epipolar_states import PARALLAX_STATES, ExtrinsicsPrior, FastBelief
+from companion.core.stereo.epipolar_states import PARALLAX_STATES, VELOCITY, ExtrinsicsPrior, FastBelief
 from companion.core.stereo.exposure import rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS, LensAxes
@@ -259,3 +259,20 @@ def test_a_flight_that_is_not_known_at_all_leaves_the_rotation(rig: Rig) -> None
     )
     assert isinstance(update, EpipolarUpdate)
     assert np.all(np.isfinite(update.total_covariance))
+
+
+def test_a_knock_forgets_the_velocity_that_was_learned_beside_the_wrong_rotation(rig: Rig) -> None:
+    """The flow teaches velocity and toe together: what it taught beside a rotation that was wrong is wrong too."""
+    tracker = EpipolarFilter(rig, ExtrinsicsPrior(0.001, baseline_rad=1e-9, **EXACT_LENSES))
+    prior_m2ps2, sigma = 0.3**2 * np.eye(3), np.full(150, NOISE_RAD)
+    tracker._velocity_covariance = prior_m2ps2
+    tracker._covariance[VELOCITY, VELOCITY], tracker._mean[VELOCITY] = 0.01**2 * np.eye(3), 1.0
+    for k in range(3):  # so many outliers in a row are a turned camera
+        assert np.diag(tracker._covariance)[VELOCITY].max() < 0.2**2
+        update = tracker.update(
+            _rays(rig, np.array([0.03, 0.0, 0.0]), k), sigma, FastBelief(1e-18 * np.eye(3)), k * 100
+        )
+        assert isinstance(update, EpipolarUpdate)
+    assert update.verdict is MatchVerdict.KNOCKED
+    assert np.allclose(tracker._covariance[VELOCITY, VELOCITY], prior_m2ps2, rtol=1e-6)
+    assert np.allclose(tracker._mean[VELOCITY], 0.0)

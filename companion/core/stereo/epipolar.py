@@ -145,14 +145,15 @@ class EpipolarFilter:
     def reopen(self) -> None:
         """Add ``KNOCK_RAD`` squared to the variance about every axis: matches measure the rotation anew from now on."""
         self._covariance[:3, :3] += KNOCK_RAD**2 * np.eye(3)
-        self._forget_flight()
+        self._mean, self._velocity_covariance = self._mean.copy(), np.zeros((3, 3))
+        self._forget_flight(self._mean, self._covariance, self._velocity_covariance)
         self._test = MatchTest()
 
-    def _forget_flight(self) -> None:
-        """Set the errors of velocity and rates to their prior: a wrong rotation has made them wrong."""
-        self._mean, self._velocity_covariance = self._mean.copy(), np.zeros((3, 3))
-        self._mean[FLIGHT] = self._covariance[FLIGHT] = self._covariance[:, FLIGHT] = 0.0
-        self._covariance[TURN_RATE, TURN_RATE] = self._prior.turn_rate_radps**2 * np.eye(3)
+    def _forget_flight(self, mean: Floats, covariance: Floats, velocity: Floats) -> None:
+        """Set the errors of velocity and rates to their prior, in place: a wrong rotation has made them wrong."""
+        mean[FLIGHT] = covariance[FLIGHT] = covariance[:, FLIGHT] = 0.0
+        covariance[VELOCITY, VELOCITY] = velocity
+        covariance[TURN_RATE, TURN_RATE] = self._prior.turn_rate_radps**2 * np.eye(3)
 
     def update(
         self,
@@ -200,7 +201,7 @@ class EpipolarFilter:
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         epipolar_axes = (axes or self._rest_axes).in_frame(self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer, verdict = self._solved(epipolar_rays, epipolar_axes, noise_rad, fast, mean, prior, bend)
+        answer, verdict = self._solved(epipolar_rays, epipolar_axes, noise_rad, fast, mean, prior, bend, velocity)
         contradicts = False
         if flow is not None and verdict is MatchVerdict.AGREE:
             answer, contradicts = self._flown(answer, flow, bend, t_host_ns)
@@ -220,6 +221,7 @@ class EpipolarFilter:
         mean: Floats,
         prior: Floats,
         bend: BendBelief,
+        velocity: Floats,
     ) -> tuple[Posterior, MatchVerdict]:
         """Posterior of one pair, its innovation bound by what the test grants, and the test's verdict."""
         answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
@@ -229,6 +231,7 @@ class EpipolarFilter:
         verdict, granted_rad2 = self._test.take(tested)
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
+            self._forget_flight(mean, prior, velocity)
             answer = maximum_a_posteriori(epipolar_rays, axes, noise_rad, mean, prior, bend)
         bound = with_bound_innovation(answer, granted_rad2 + fast.stamps)
         return with_considered_states(bound, mean, prior, CONSIDERED_STATES), verdict
