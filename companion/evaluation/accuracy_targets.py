@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.evaluation.metrics import FAST_HZ, Scored, is_wrong, near, rms, slow_part, spread
 from companion.evaluation.shot_scores import PipelineOutputs, Shots
-from companion.evaluation.trigger_scores import trigger_scores
+from companion.evaluation.trigger_scores import aimed_shots, trigger_scores
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
 
@@ -86,7 +86,7 @@ def trigger_summary(
     plans = [plan for plan in outputs.plans.values() if plan.firing is Firing.PEAK]
     matches = [outputs.matches[pair_id] for pair_id in shots.ids]
     return {
-        "aimed": trigger_scores(geometry.flight, plans, matches, geometry.start_host_ns),
+        "aimed": trigger_scores(geometry.flight, aimed_shots(plans, matches, geometry.start_host_ns)),
         "fire_late_us": spread(np.array(late, dtype=np.float64), 1e-3),
         "blur_px": {name: spread(values) for name, values in blur.items()},
     }

@@ -18,10 +18,15 @@ STEP_NS, SECOND = 4_000_000, 250
 CALM = 0.05  # of the airframe's gusts
 
 
+def _noted(vibration: RootVibration, first_ns: int, variance: Floats) -> Bools:
+    vibration.note(first_ns, variance)
+    return vibration.includes(variance)
+
+
 def _judged(vibration: RootVibration, variance: Floats) -> Bools:
     """Answers for epochs (n,), ten at a time."""
     return np.concatenate([
-        vibration.includes(1 + STEP_NS * first, variance[first : first + 10]) for first in range(0, len(variance), 10)
+        _noted(vibration, 1 + STEP_NS * first, variance[first : first + 10]) for first in range(0, len(variance), 10)
     ])  # fmt: skip
 
 

@@ -234,6 +234,23 @@ def test_an_uncertain_slope_factor_makes_the_forecast_of_the_slope_rate_uncertai
         assert np.all(added[:, side, side] >= 0.99 * more * modal_rate**2 - 1e-12)
 
 
+def test_a_preview_takes_the_newest_samples_and_leaves_the_tracker_as_it_is() -> None:
+    """One of two trackers previews at every call. Their states stay equal; its forecast begins where samples end."""
+    plain, previewing = WingTracker(plain_airframe(), Settings()), WingTracker(plain_airframe(), Settings())
+    for _, _ in zip(_flown(plain, 6.0, holes=True), _flown(previewing, 6.0, holes=True), strict=True):
+        usual, newest = previewing.forecast(100 * MS, 5 * MS), previewing.forecast(100 * MS, 5 * MS, previews=True)
+    assert isinstance(usual, Forecast)
+    assert isinstance(newest, Forecast)
+    assert np.array_equal(plain._kalman.state_and_sensitivity, previewing._kalman.state_and_sensitivity)
+    assert np.array_equal(plain._kalman.covariance, previewing._kalman.covariance)
+    last_sample_ns = EPOCH_NS + 5_999 * MS
+    assert last_sample_ns - 4 * MS < newest.t_host_ns[0] - 5 * MS <= last_sample_ns
+    assert usual.t_host_ns[0] - 5 * MS <= EPOCH_NS + 6_000 * MS - 50 * MS
+    # both tell the same instants; the later one knows them better
+    at = int(np.searchsorted(usual.t_host_ns, newest.t_host_ns[0]))
+    assert newest.q_covariance[0, 0, 0] < usual.q_covariance[at, 0, 0]
+
+
 @pytest.mark.slow
 def test_sensors_that_contradict_the_model_for_good_are_told_so_and_not_that_the_tracker_settles() -> None:
     clocks = ClockBank()

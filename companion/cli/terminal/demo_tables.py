@@ -116,7 +116,8 @@ def _trigger_sentences(trigger: dict[str, Any]) -> list[str]:
         lines += [_peak_sentence(aimed, kind) for kind in ("deflection", "toe")]
         wing = aimed["blur_px"]
         lines.append(
-            f"blur of aimed shots, rms: {wing['at_plan']['rms']:.3f} px; limit {wing['limit']['rms']:.3f}, "
+            f"blur of aimed shots by wing and roll, rms: {wing['at_plan']['rms']:.3f} px; "
+            f"limit {wing['limit']['rms']:.3f}, "
             f"random {wing['at_random']['rms']:.3f}: {100 * aimed['share_of_gain']:.0f} % of the possible gain"
         )
     medians = (

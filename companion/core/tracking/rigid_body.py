@@ -84,7 +84,20 @@ class MeasurementBuilder:
         self._vibration = RootVibration()
 
     def epochs(self, first_ns: int, step_ns: int, count: int) -> Epochs:
-        """Build ``count`` consecutive epochs of ``step_ns`` from ``first_ns`` on."""
+        """Build the next ``count`` consecutive epochs of ``step_ns``, from ``first_ns`` on."""
+        epochs = self._bridged(self._measured(first_ns, step_ns, count))
+        self._last = float(epochs.load_g[-1]), epochs.body_rate_radps[-1].copy()
+        motion_variance = epochs.root_motion_variance[:, 0]
+        self._vibration.note(first_ns, motion_variance)
+        return epochs._replace(root_vibrates=self._vibration.includes(motion_variance))
+
+    def preview(self, first_ns: int, step_ns: int, count: int) -> Epochs:
+        """The same from samples that others may still overtake, to be built again once none can."""
+        epochs = self._bridged(self._measured(first_ns, step_ns, count))
+        return epochs._replace(root_vibrates=self._vibration.includes(epochs.root_motion_variance[:, 0]))
+
+    def _measured(self, first_ns: int, step_ns: int, count: int) -> Epochs:
+        """Epochs of what the streams hold."""
         root, left, right = self._streams
         axes = (root.axes, left.axes, right.axes)
         if axes != self._axes:
@@ -94,8 +107,7 @@ class MeasurementBuilder:
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
         padded = build_epochs(at_root, at_left, at_right, first_ns, step_ns, count, *fixed)
-        epochs = self._bridged(padded.span(BEFORE, BEFORE + count))
-        return epochs._replace(root_vibrates=self._vibration.includes(first_ns, epochs.root_motion_variance[:, 0]))
+        return padded.span(BEFORE, BEFORE + count)
 
     def _bridged(self, epochs: Epochs) -> Epochs:
         """Epochs whose load factor and body rate are the last measured ones where the root has a gap.
@@ -107,8 +119,7 @@ class MeasurementBuilder:
             load_g, body_rate_radps = epochs.load_g[last], epochs.body_rate_radps[last]
             load_g[last < 0], body_rate_radps[last < 0] = self._last
             earlier_load_g = np.where(epochs.root_covered, epochs.earlier_load_g, load_g)
-            epochs = epochs._replace(load_g=load_g, body_rate_radps=body_rate_radps, earlier_load_g=earlier_load_g)
-        self._last = float(epochs.load_g[-1]), epochs.body_rate_radps[-1].copy()
+            return epochs._replace(load_g=load_g, body_rate_radps=body_rate_radps, earlier_load_g=earlier_load_g)
         return epochs
 
 

@@ -26,10 +26,13 @@ class RootVibration:
         self._blocks: deque[float] = deque([0.0] * _BLOCKS, maxlen=_BLOCKS)
         self._largest, self._until_ns = 0.0, 0
 
-    def includes(self, first_ns: int, variance: Floats) -> Bools:
-        """Whether the motion of epochs (n,) from an instant on is no larger than that of three blocks or more."""
+    def note(self, first_ns: int, variance: Floats) -> None:
+        """Add the variance of the motion of epochs (n,) from an instant on."""
         if first_ns >= self._until_ns:
             self._blocks.append(self._largest)
             self._largest, self._until_ns = 0.0, first_ns + _BLOCK_NS
         self._largest = max(self._largest, float(variance.max(initial=0.0)))
+
+    def includes(self, variance: Floats) -> Bools:
+        """Whether the motion of epochs (n,) is no larger than that of three blocks before or more."""
         return np.asarray(variance <= _SPREAD * sorted(self._blocks)[-_AGAIN])

@@ -29,7 +29,7 @@ from companion.core.tracking.line_following import LineFollowing
 from companion.core.tracking.manoeuvre_error import ManoeuvreError
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import alike, prior_parameters
-from companion.core.tracking.prediction import Forecast, Forecaster
+from companion.core.tracking.prediction import Forecast, Forecaster, Newest, previewed
 from companion.core.tracking.readaptation import NewParameters, fresh_filter, newest_innovations, readapt
 from companion.core.tracking.rigid_body import BEFORE, MeasurementBuilder, RareGates, join
 from companion.core.tracking.row_noise import RowNoise
@@ -360,13 +360,13 @@ class WingTracker:
         """Mean normalised innovation squared of a row over the last second: 1 where the model is right."""
         return self._kalman.nis
 
-    def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
-        """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""
-        if not self._body_rates:
-            return Reject.NOT_SETTLED
-        if self._validity in (Validity.SATURATED, Validity.STALE):
-            return Reject[self._validity.name]
-        return self._forecaster.run(self._kalman, self._next_ns, self._body_rates.newest_radps, horizon_ns, step_ns)
+    def forecast(self, horizon_ns: int, step_ns: int, *, previews: bool = False) -> Forecast | Reject:
+        """Predict up to a horizon from the newest processed instant, or, with ``previews``, from the newest samples."""
+        if not self._body_rates or self._validity in (Validity.SATURATED, Validity.STALE):
+            return Reject[self._validity.name] if self._body_rates else Reject.NOT_SETTLED
+        newest = Newest(self._kalman, self._next_ns, self._body_rates.newest_radps)
+        newest = previewed(newest, self._front_end, self._live_streams if previews else (), self._step_ns)
+        return self._forecaster.run(newest, self._next_ns + horizon_ns - newest.t_host_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """Wing at a past instant, with all measurements since; causal at the newest. Feeds ``ManoeuvreError`` too."""

@@ -135,6 +135,10 @@ class Planner:
         if self._draft is not None:
             self._overtaken = self._due_ns - self._draft.exposure_ns > self._early_ns
 
+    def commands_before(self, t_host_ns: int) -> bool:
+        """Whether a command may be given before an instant: that of the open plan, or, without one, of the next."""
+        return self._open is None or self._open.command_host_ns < t_host_ns
+
     # ---------------------------------------------------------------------------------------- the open plan
 
     def _being_fired(self, now_ns: int) -> bool:

@@ -45,7 +45,8 @@ class Scheduling:
             return
         self.next_plan_ns = now_host_ns + _PLAN_PERIOD_NS
         ahead_ns = now_host_ns - tracker.newest_ns
-        forecast = tracker.forecast(HORIZON_NS + ahead_ns, STEP_NS)
+        nearly_due = self.planner.commands_before(self.next_plan_ns + _PLAN_PERIOD_NS)
+        forecast = tracker.forecast(HORIZON_NS + ahead_ns, STEP_NS, previews=nearly_due)
         plan = self.planner.plan(forecast, validity, now_host_ns, motion)
         if plan is not None:
             yield plan
