@@ -83,7 +83,10 @@ def test_a_spring_that_slips_is_no_worth_in_itself(slipping_ratio: float, yield_
 
 @pytest.mark.slow
 def test_four_springs_that_slip_have_their_share() -> None:
-    """The second truth's joint: the first share came out 0.25, 12 sigmas high."""
+    """The second truth's joint: the first share came out 0.25, 12 sigmas high.
+
+    The likelier of two fits counts: by the rounding of a processor one may end where a wide yield explains as much.
+    """
     labels = []
     for slipping_ratio, yield_m in ((0.13, 0.003), (0.2, 0.0021), (0.3, 0.0026)):
         label = hide([], (8.0, 8.0), np.random.default_rng(6))
@@ -92,7 +95,9 @@ def test_four_springs_that_slip_have_their_share() -> None:
         labels.append(label)
     for label, tables in zip(labels, fly_all(labels, [20.0] * 3, 43), strict=True):
         model = model_of(tables, STRANGER.airframe(20.0, 0.0), STRANGER.top_hz)
-        fitted = fit([model], (EffectTerm(Hysteresis(0.2, 0.0025)),), None, 24, 5.0)
+        terms = [(EffectTerm(Hysteresis(*begun_at)),) for begun_at in ((0.2, 0.0025), (0.1, 0.004))]
+        fits = (fit([model], term, None, 24, 5.0) for term in terms)
+        fitted = max(fits, key=lambda each: each.log_likelihood)
         slipping_ratio, sigma = fitted.values[-2], np.sqrt(fitted.covariance[-2, -2])
         assert abs(slipping_ratio - label.effects["hysteresis"]) < 2.6 * sigma
 
