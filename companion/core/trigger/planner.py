@@ -137,7 +137,8 @@ class Planner:
 
     def commands_before(self, t_host_ns: int) -> bool:
         """Whether a command may be given before an instant: that of the open plan, or, without one, of the next."""
-        return self._open is None or self._open.command_host_ns < t_host_ns
+        is_due = self._open is None or self._open.command_host_ns < t_host_ns
+        return is_due and self.settings.trigger_policy != Policy.OFF
 
     # ---------------------------------------------------------------------------------------- the open plan
 
