@@ -69,7 +69,8 @@ class Axis(enum.IntFlag):
     @property
     def mask(self) -> Bools:
         """Whether each column of ``ImuBatch.values`` holds one of them, (6,)."""
-        return np.isin(np.arange(len(AXIS_LETTERS)), self.columns)
+        bits = int(self)
+        return np.array([bits >> column & 1 for column in range(len(AXIS_LETTERS))], dtype=np.bool_)
 
     @property
     def letters(self) -> str:

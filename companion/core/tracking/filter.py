@@ -237,8 +237,8 @@ class SeparatedBiasFilter:
     def bias_parameter_covariance(self) -> Floats:
         """Covariance of the bias parameters, (c, c): slope factors with what the fit's error adds, up to the prior."""
         covariance = self._bias_covariance.copy()
-        room = np.maximum(self.layout.bias_parameter_sigma**2 - np.diag(covariance), 0.0)
-        covariance[np.diag_indices_from(covariance)] += np.minimum(self._slope_variance, room)
+        room = np.maximum(self.layout.bias_parameter_sigma**2 - covariance.diagonal(), 0.0)
+        covariance.flat[:: len(covariance) + 1] += np.minimum(self._slope_variance, room)
         return covariance
 
     @property
@@ -317,7 +317,7 @@ class SeparatedBiasFilter:
             )
             if not self.finite:
                 return
-            at = np.ix_(self._teachable, self._teachable)
+            at = self._teachable[:, np.newaxis], self._teachable
             gained = np.sum((self._filter_state.information - before)[1:, 1:][at] * self._bias_covariance[at])
             self._by_parameters = (1.0 - self.model.step_s) ** count * self._by_parameters + float(gained)
             self.steps, self._steps_since_solution = self.steps + count, self._steps_since_solution + count

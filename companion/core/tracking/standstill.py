@@ -62,7 +62,7 @@ class Standstill:
     def _look(self, t_ns: Ints, values: Floats, axes: Axis, range_of: Floats) -> None:
         newest_ns = int(t_ns[-1])
         with np.errstate(invalid="ignore"):
-            change = np.abs(np.diff(values, axis=0, prepend=self._newest[None]))
+            change = np.abs(values - np.concatenate((self._newest[np.newaxis], values[:-1])))
             self._step = np.minimum(self._step, np.where(change > 0.0, change, np.inf).min(axis=0))
             same = (change == 0.0) & (np.abs(values) < _MARGIN * range_of)
         last = len(t_ns) - 1 - (~same[::-1]).argmax(axis=0)  # that differs from the one before
