@@ -209,6 +209,17 @@ def test_a_toe_noisier_than_its_reference_allows_is_a_miss() -> None:
         assert f" {over:.2f} " in text.split("above 0.5 Hz")[1]
 
 
+def test_rigid_stereo_errs_by_the_toe_itself() -> None:
+    """A swing of amplitude A at 5 Hz leaves it A over the root of two, a standing bend nothing above 0.5 Hz."""
+    row, amplitude = CampaignRow("fair", "nadir-2m", "6-axis"), 2e-2
+    shots = [shot(16.0 + 0.07 * k) for k in range(200)]
+    for each in shots:
+        each[2] = each[3] = 3e-2 + amplitude * math.sin(10.0 * math.pi * each[1])
+    figures = summary(pooled(row, [judged_flight(shots)]))
+    assert figures["fast rigid"] == pytest.approx(1e3 * amplitude / math.sqrt(2.0), rel=0.03)
+    assert figures["fast toe"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_constant_is_to_be_within_three_sigmas_in_nearly_every_flight() -> None:
     """Both tips are one constant; 97 of 100 are too few, 98 suffice."""
     for beyond, expected in ((2, False), (3, True)):

@@ -14,8 +14,9 @@ shots in the air from 15 s on, rms in mrad; NEES, its standard error by flights 
 of toe), and share inside 1, 2, 3 sigma. wrong: published ranges of the whole flight off by more than 5 sigma and 5 %
 from the true depth of their features, and by more than 20 %. axis: those off by more than 5 sigma and 5 % from the
 first surface that the range axis meets, where it meets one: features lie beside the axis, 5 m apart from 80 m. peers:
-rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer over the same shots, and of the
-estimator itself on the same flights without vibration and warm-up, with the true noise of the sensors (the reference).
+rms above 0.5 Hz of the toe's error of the estimate where it is trusted, of each peer and of rigid stereo (the toe of
+the calibration, whatever the wing does) over the same shots, and of the estimator itself on the same flights without
+vibration and warm-up, with the true noise of the sensors (the reference).
 constants: those that the tracker estimates, at the end of each flight, error over sigma: mean, rms, and share inside 3
 sigma in all flights and by world.
 """
@@ -52,6 +53,7 @@ _NEES = (0.8, 1.25)
 _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
 _MOST_OVER_REFERENCE = 1.15
+_RIGID = "rigid"  # its toe is that of the calibration, zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +155,7 @@ def summary(group: Pooled) -> dict[str, float]:
                "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
     for k in (1, 2, 3):
         figures[f"inside_{k}"] = float(np.mean(np.abs(over) <= k)) if len(over) else math.nan
-    return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", *PEERS)}
+    return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", _RIGID, *PEERS)}
 
 
 def _off(group: Pooled, truth: str) -> tuple[int, int]:
@@ -213,13 +215,15 @@ def _conditions(row: CampaignRow) -> tuple[str, str, str]:
 
 def _fast_mrad(group: Pooled, name: str, seeds: Container[int] | None = None) -> float:
     """Rms above :data:`_FAST_HZ` of one toe's error over all settled and trusted shots, flight by flight, mrad."""
+    true_toe = group.columns["true_toe"]
+    toe = np.zeros(len(true_toe)) if name == _RIGID else group.columns[name]
     squares, count = 0.0, 0
     for k, seed in enumerate(group.seeds):
         if seeds is not None and seed not in seeds:
             continue
-        usable = (group.flight == k) & group.settled & group.trusted & np.isfinite(group.columns[name])
+        usable = (group.flight == k) & group.settled & group.trusted & np.isfinite(toe)
         if np.sum(usable) > 10:
-            error = (group.columns[name] - group.columns["true_toe"])[usable]
+            error = (toe - true_toe)[usable]
             fast = error - slow_part(group.columns["t_s"][usable], error, _FAST_HZ)
             squares, count = squares + float(np.sum(fast**2)), count + len(fast)
     return 1e3 * math.sqrt(squares / count) if count else math.nan
@@ -264,7 +268,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     )
     lines, peers, failures = [head], [], 0
     fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} {'reference':>11s} {'ratio':>7s} "
-    fast += " ".join(f"{name:>11s}" for name in PEERS)
+    fast += " ".join(f"{name:>11s}" for name in (_RIGID, *PEERS))
     references = {_conditions(group.row): group for group in groups if group.row.reference}
     groups = [group for group in groups if not group.row.reference]
     figures = [summary(group) for group in groups]
@@ -286,7 +290,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
             f" {f['wrong']:5.0f} {f['far']:4.0f} {f['axis']:4.0f}  {', '.join(short)}"
         )
         if not group.row.accident.name:
-            others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS)
+            others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in (_RIGID, *PEERS))
             peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {ratio:7.2f} {others}")
     constants, off = constants_table((group.row.world, each) for group in groups for each in group.constants)
     lines += ["", fast, *peers, "", *constants, "", "why shots were withheld or refused, per flight:"]
