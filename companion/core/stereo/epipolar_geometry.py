@@ -19,7 +19,7 @@ import numpy as np
 
 from companion.core.stereo.epipolar_states import BASELINE, LENS
 from companion.core.stereo.geometry import Rig, epipolar_axes
-from companion.core.stereo.lens_residual import LensAxes, across_lines, parallax_columns
+from companion.core.stereo.lens_residual import LensAxes, parallax_columns, slope_errors
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
@@ -51,13 +51,14 @@ def parallax(epipolar_rays: Rays, axes: LensAxes, state: Floats) -> tuple[Floats
     """
     half = exp_rotation(0.5 * state[:3])
     turned, axes = _turned(epipolar_rays, half), axes.turned(half)
-    left = across_lines(turned.left, axes.left)
-    residual_rad = _unexplained(turned, parallax_columns(left, across_lines(turned.right, axes.right)), state)
+    apart = turned.right_m - turned.left_m
+    toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
+    residual_rad = _unexplained(turned, toward, _lens_columns(turned, toward, axes) @ state[LENS])
     # Columns are taken where the rays meet, for the left pixel is the feature and the right one its noisy match. At the
     # ray as measured, the same noise would be in columns and residual, and bias the radial terms in every pair.
     meeting = _meeting(turned, residual_rad)
-    lens = parallax_columns(left, across_lines(meeting.right, axes.right))
-    return residual_rad, np.concatenate([_turn_and_baseline_columns(meeting), lens], axis=1)
+    columns = [_turn_columns(meeting, toward), _baseline_columns(meeting), _lens_columns(meeting, toward, axes)]
+    return residual_rad, np.concatenate(columns, axis=1)
 
 
 def _turned(rays: Rays, half: Floats) -> Rays:
@@ -72,19 +73,50 @@ def _meeting(rays: Rays, parallax_rad: Floats) -> Rays:
     return replace(rays, right=right)
 
 
-def _unexplained(rays: Rays, lens: Floats, state: Floats) -> Floats:
-    """Parallax (n,) of turned rays less what the baseline and the lenses explain; ``lens`` has their columns (n, 9)."""
-    columns = _turn_and_baseline_columns(rays)
-    apart = rays.right_m - rays.left_m
-    toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
+def _unexplained(rays: Rays, toward: Floats, lenses: Floats) -> Floats:
+    """Parallax (n,) of turned rays less that by baselines along ``(1, toward)`` (n, 2) and by the lenses (n,)."""
     y_l, y_r = rays.left[:, 1] / rays.left[:, 2], rays.right[:, 1] / rays.right[:, 2]
-    unexplained: Floats = y_l - y_r - (toward * columns[:, BASELINE]).sum(axis=1) - lens @ state[LENS]
+    unexplained: Floats = y_l - y_r - (toward * _baseline_columns(rays)).sum(axis=1) - lenses
     return unexplained
 
 
-def _turn_and_baseline_columns(rays: Rays) -> Floats:
-    """Negative gradient (n, 5) of the unexplained parallax by pitch, yaw, roll, and the baseline's y and z."""
-    x_l, y_l = rays.left[:, 0] / rays.left[:, 2], rays.left[:, 1] / rays.left[:, 2]
-    x_r, y_r = rays.right[:, 0] / rays.right[:, 2], rays.right[:, 1] / rays.right[:, 2]
-    per_turn = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
-    return np.stack([*per_turn, x_l - x_r, x_r * y_l - y_r * x_l], axis=1)
+def _baseline_columns(rays: Rays) -> Floats:
+    """Negative gradient (n, 2) of the unexplained parallax by the baseline's y and z."""
+    (x_l, y_l), (x_r, y_r) = _slopes(rays.left), _slopes(rays.right)
+    return np.stack([x_l - x_r, x_r * y_l - y_r * x_l], axis=1)
+
+
+def _turn_columns(rays: Rays, toward: Floats) -> Floats:
+    """Negative gradient (n, 3) of the unexplained parallax by pitch, yaw and roll, half of it in each camera."""
+    left, right = _across_lines(rays, toward)
+    turned = [across @ _per_turn(*_slopes(ray)) for across, ray in ((left, rays.left), (right, rays.right))]
+    return np.asarray(0.5 * (turned[0] + turned[1])[:, 0])
+
+
+def _lens_columns(rays: Rays, toward: Floats, axes: LensAxes) -> Floats:
+    """Negative gradient (n, 9) of the unexplained parallax by the terms of the lenses."""
+    left, right = _across_lines(rays, toward)
+    errors = (left @ slope_errors(rays.left, axes.left))[:, 0], (right @ slope_errors(rays.right, axes.right))[:, 0]
+    return parallax_columns(*errors)
+
+
+def _across_lines(rays: Rays, toward: Floats) -> tuple[Floats, Floats]:
+    """Parallax (n, 1, 2) per unit of either slope of the left ray, and, with the other sign, of the right one.
+
+    Cameras that expose at two instants have a baseline that points ahead or back, by ``toward`` (n, 2) per unit of its
+    length along x: then slopes x show across the epipolar lines as well.
+    """
+    (x_l, y_l), (x_r, y_r), (t_y, t_z) = _slopes(rays.left), _slopes(rays.right), toward.T
+    left = np.stack([t_z * y_r - t_y, 1.0 - t_z * x_r], axis=1)
+    right = np.stack([t_z * y_l - t_y, 1.0 - t_z * x_l], axis=1)
+    return left[:, np.newaxis], right[:, np.newaxis]
+
+
+def _per_turn(x: Floats, y: Floats) -> Floats:
+    """Change (n, 2, 3) of slopes (n,) of rays by a small turn about each axis."""
+    return np.stack([np.stack([-x * y, 1.0 + x**2, -y], axis=1), np.stack([-1.0 - y**2, x * y, x], axis=1)], axis=1)
+
+
+def _slopes(rays: Floats) -> tuple[Floats, Floats]:
+    """Slopes x and y (n,) of rays (n, 3)."""
+    return rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]

@@ -115,10 +115,10 @@ def left_terms(terms: Floats) -> tuple[Floats, Floats]:
     return per_term @ terms, per_term
 
 
-def across_lines(directions: Floats, axes: Floats) -> Floats:
-    """Error (n, 6) of the slopes y of directions (n, 3) per unit of each term of the lens with these axes (3, 3)."""
-    bent, z = _bent(directions, axes), directions[:, 2:]
-    return np.asarray((bent[:, 1] - directions[:, 1:2] / z * bent[:, 2]) / z)
+def slope_errors(directions: Floats, axes: Floats) -> Floats:
+    """Error (n, 2, 6) of the slopes of directions (n, 3) per unit of each term of the lens with these axes (3, 3)."""
+    bent, z = _bent(directions, axes), directions[:, 2:, np.newaxis]
+    return np.asarray((bent[:, :2] - directions[:, :2, np.newaxis] / z * bent[:, 2:]) / z)
 
 
 def parallax_columns(left: Floats, right: Floats) -> Floats:
