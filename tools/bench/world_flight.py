@@ -150,7 +150,10 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
     toe = true_m = axis_m = math.nan
     if entry.trusted:
         geometry = TrueGeometry(flight, pair.at(t_ns), Settings(), HOST_EPOCH_NS)
-        toe, axis_m, reading = geometry.true_toe_rad(matches), geometry.true_range_m(matches), geometry.oracle(matches)
+        toe, axis_m = geometry.true_toe_rad(matches), geometry.true_range_m(matches)
+        # of the features that this range counts: true extrinsics may count those of another surface
+        bends, turned = outputs.bends[entry.pair_id], outputs.turned.get(entry.pair_id)
+        reading = geometry.corrected(matches, *bends, turned)
         true_m = math.nan if reading is None else 1.0 / reading.true_inverse_pm
     return [entry.pair_id, t_ns / _S, toe, entry.toe_rad, entry.toe_sigma_rad, true_m, entry.range_m,
             entry.sigma_m, float(entry.trusted), axis_m]  # fmt: skip
