@@ -7,8 +7,9 @@ mean of both rays')
 
     ``y_l - y_r = -phi_x (1 + y^2) + phi_y x y + phi_z x + b_y d + b_z (x_r y_l - y_r x_l)``,   ``d = x_l - x_r``
 
-Pitch ``phi_x`` and roll ``phi_z`` show strongly, yaw ``phi_y`` only through ``x y``, and the baseline only through
-depth that varies. Yaw is the toe, whose error falsifies ranges. Its covariance says how weakly a pair shows it.
+Where the baseline as flown is tilted, slopes x show too (EXTRINSICS.md). Pitch ``phi_x`` and roll ``phi_z`` show
+strongly, yaw ``phi_y`` only through ``x y``, and the baseline only through depth that varies. Yaw is the toe, whose
+error falsifies ranges. Its covariance says how weakly a pair shows it.
 """
 
 from __future__ import annotations
