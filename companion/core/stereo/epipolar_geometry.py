@@ -54,12 +54,15 @@ def parallax(epipolar_rays: Rays, axes: LensAxes, state: Floats) -> tuple[Floats
     turned, axes = _turned(epipolar_rays, half), axes.turned(half)
     apart = turned.right_m - turned.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
-    residual_rad = _unexplained(turned, toward, _lens_columns(turned, toward, axes) @ state[LENS])
+    left_errors = slope_errors(turned.left, axes.left)
+    lenses = _lens_columns(_across_lines(turned, toward), left_errors, slope_errors(turned.right, axes.right))
+    residual_rad = _unexplained(turned, toward, lenses @ state[LENS])
     # Columns are taken where the rays meet, for the left pixel is the feature and the right one its noisy match. At the
     # ray as measured, the same noise would be in columns and residual, and bias the radial terms in every pair.
     meeting = _meeting(turned, residual_rad)
-    columns = [_turn_columns(meeting, toward), _baseline_columns(meeting), _lens_columns(meeting, toward, axes)]
-    return residual_rad, np.concatenate(columns, axis=1)
+    across = _across_lines(meeting, toward)
+    lenses = _lens_columns(across, left_errors, slope_errors(meeting.right, axes.right))
+    return residual_rad, np.concatenate([_turn_columns(across, meeting), _baseline_columns(meeting), lenses], axis=1)
 
 
 def _turned(rays: Rays, half: Floats) -> Rays:
@@ -76,7 +79,7 @@ def _meeting(rays: Rays, parallax_rad: Floats) -> Rays:
 
 def _unexplained(rays: Rays, toward: Floats, lenses: Floats) -> Floats:
     """Parallax (n,) of turned rays less that by baselines along ``(1, toward)`` (n, 2) and by the lenses (n,)."""
-    y_l, y_r = rays.left[:, 1] / rays.left[:, 2], rays.right[:, 1] / rays.right[:, 2]
+    (_, y_l), (_, y_r) = _slopes(rays.left), _slopes(rays.right)
     unexplained: Floats = y_l - y_r - (toward * _baseline_columns(rays)).sum(axis=1) - lenses
     return unexplained
 
@@ -87,18 +90,17 @@ def _baseline_columns(rays: Rays) -> Floats:
     return np.stack([x_l - x_r, x_r * y_l - y_r * x_l], axis=1)
 
 
-def _turn_columns(rays: Rays, toward: Floats) -> Floats:
+def _turn_columns(across: tuple[Floats, Floats], rays: Rays) -> Floats:
     """Negative gradient (n, 3) of the unexplained parallax by pitch, yaw and roll, half of it in each camera."""
-    left, right = _across_lines(rays, toward)
-    turned = [across @ _per_turn(*_slopes(ray)) for across, ray in ((left, rays.left), (right, rays.right))]
-    return np.asarray(0.5 * (turned[0] + turned[1])[:, 0])
+    left, right = across
+    turned = left @ _per_turn(*_slopes(rays.left)) + right @ _per_turn(*_slopes(rays.right))
+    return np.asarray(0.5 * turned[:, 0])
 
 
-def _lens_columns(rays: Rays, toward: Floats, axes: LensAxes) -> Floats:
-    """Negative gradient (n, 9) of the unexplained parallax by the terms of the lenses."""
-    left, right = _across_lines(rays, toward)
-    errors = (left @ slope_errors(rays.left, axes.left))[:, 0], (right @ slope_errors(rays.right, axes.right))[:, 0]
-    return parallax_columns(*errors)
+def _lens_columns(across: tuple[Floats, Floats], left_errors: Floats, right_errors: Floats) -> Floats:
+    """Negative gradient (n, 9) of the unexplained parallax by the lenses' terms, of their slopes' errors (n, 2, 6)."""
+    left, right = across
+    return parallax_columns((left @ left_errors)[:, 0], (right @ right_errors)[:, 0])
 
 
 def _across_lines(rays: Rays, toward: Floats) -> tuple[Floats, Floats]:
