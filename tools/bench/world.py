@@ -54,6 +54,7 @@ _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
 _MOST_OVER_REFERENCE = 1.15
 _RIGID = "rigid"  # its toe is that of the calibration, zero
+_BESIDE = (_RIGID, *PEERS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +156,7 @@ def summary(group: Pooled) -> dict[str, float]:
                "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
     for k in (1, 2, 3):
         figures[f"inside_{k}"] = float(np.mean(np.abs(over) <= k)) if len(over) else math.nan
-    return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", _RIGID, *PEERS)}
+    return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", *_BESIDE)}
 
 
 def _off(group: Pooled, truth: str) -> tuple[int, int]:
@@ -268,7 +269,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
     )
     lines, peers, failures = [head], [], 0
     fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} {'reference':>11s} {'ratio':>7s} "
-    fast += " ".join(f"{name:>11s}" for name in (_RIGID, *PEERS))
+    fast += " ".join(f"{name:>11s}" for name in _BESIDE)
     references = {_conditions(group.row): group for group in groups if group.row.reference}
     groups = [group for group in groups if not group.row.reference]
     figures = [summary(group) for group in groups]
@@ -290,7 +291,7 @@ def show(groups: list[Pooled]) -> tuple[str, int]:
             f" {f['wrong']:5.0f} {f['far']:4.0f} {f['axis']:4.0f}  {', '.join(short)}"
         )
         if not group.row.accident.name:
-            others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in (_RIGID, *PEERS))
+            others = " ".join(f"{f['fast ' + peer]:11.3f}" for peer in _BESIDE)
             peers.append(f"{name} {f['fast toe']:7.3f} {reference:11.3f} {ratio:7.2f} {others}")
     constants, off = constants_table((group.row.world, each) for group in groups for each in group.constants)
     lines += ["", fast, *peers, "", *constants, "", "why shots were withheld or refused, per flight:"]

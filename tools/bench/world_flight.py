@@ -152,8 +152,7 @@ def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: C
         geometry = TrueGeometry(flight, pair.at(t_ns), Settings(), HOST_EPOCH_NS)
         toe, axis_m = geometry.true_toe_rad(matches), geometry.true_range_m(matches)
         # of the features that this range counts: true extrinsics may count those of another surface
-        bends, turned = outputs.bends[entry.pair_id], outputs.turned.get(entry.pair_id)
-        reading = geometry.corrected(matches, *bends, turned)
+        reading = geometry.corrected(matches, *outputs.bends[entry.pair_id], outputs.turned.get(entry.pair_id))
         true_m = math.nan if reading is None else 1.0 / reading.true_inverse_pm
     return [entry.pair_id, t_ns / _S, toe, entry.toe_rad, entry.toe_sigma_rad, true_m, entry.range_m,
             entry.sigma_m, float(entry.trusted), axis_m]  # fmt: skip
